@@ -1,0 +1,21 @@
+"""Pictures corrected by a calibrated rig."""
+
+from calichrome.apply.corrector import (
+    OUTPUT_SPACES,
+    Corrector,
+    OutputSpace,
+    rectifying_map,
+    undistorting_map,
+)
+from calichrome.apply.sheets import before_after_sheet, crop_around, rectified_sheet
+
+__all__ = [
+    "OUTPUT_SPACES",
+    "Corrector",
+    "OutputSpace",
+    "before_after_sheet",
+    "crop_around",
+    "rectified_sheet",
+    "rectifying_map",
+    "undistorting_map",
+]

@@ -1,0 +1,58 @@
+"""``calichrome calibrate``."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from calichrome.cli.terminal import Command, Flag, Output, Positional, names_from
+from calichrome.core.files import check_output
+from calichrome.errors import RecordingError
+from calichrome.imaging.sizes import parse_size
+from calichrome.pipeline.calibrate import CalibrationSettings, run, run_on_corners
+from calichrome.report.text import summary
+from calichrome.rig import rig_to_json, save_rig
+
+__all__ = ["Calibrate"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibrate(Command):
+    """Calibrate all cameras of a recording in geometry and colour."""
+
+    recording: Positional[Path | None] = None
+    """Folder of pictures: RECORDING/<camera>/<frame>.png, or see --pattern."""
+    output: Annotated[Path, Output] = Path("rig.json")
+    """Where to write the rig; rig.npz with the evidence is written beside it."""
+    settings: Annotated[CalibrationSettings, tyro.conf.OmitArgPrefixes] = CalibrationSettings()
+    corners: Path | None = None
+    """Use these corners (NAME.csv of `detect`) instead of detecting."""
+    size: tuple[str, ...] = ()
+    """Picture sizes for --corners without a recording, like left=640x480."""
+    force: Flag = False
+    """Replace existing outputs."""
+
+    def run(self) -> int:
+        """Calibrate, save, and print the summary."""
+        check_output(self.output, force=self.force)
+        settings = replace(self.settings, cameras=names_from(self.settings.cameras))
+        with self.progress() as progress:
+            if self.corners is not None:
+                sizes = dict(parse_size(text) for text in self.size)
+                done = run_on_corners(
+                    self.corners, self.recording, sizes, settings, progress=progress
+                )
+            elif self.recording is None:
+                raise RecordingError("nothing to calibrate; give a RECORDING or --corners NAME.csv")
+            else:
+                done = run(self.recording, settings, progress=progress)
+        save_rig(done.rig, done.evidence, self.output, force=self.force)
+        reading = "" if done.recording is None else f"{done.recording.reading}\n"
+        ignored = () if done.recording is None else done.recording.ignored
+        if ignored:
+            names = ", ".join(path.name for path in ignored[:5])
+            more = ", ..." if len(ignored) > 5 else ""
+            reading += f"ignored {len(ignored)} pictures: {names}{more}\n"
+        self.show(f"{reading}{summary(done.rig)}\nWrote {self.output}", rig_to_json(done.rig))
+        return 0 if done.rig.trustworthy else 3

@@ -1,0 +1,54 @@
+"""``calichrome correct``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from calichrome.apply import OutputSpace
+from calichrome.cli.terminal import Command, Flag, Output, Positional
+from calichrome.pipeline.correct import correct
+from calichrome.rig import load_rig
+
+__all__ = ["Correct"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Correct(Command):
+    """Correct the colours, and if asked the distortion, of pictures."""
+
+    rig: Positional[Path]
+    """rig.json."""
+    source: Positional[Path]
+    """A picture, a folder of one camera (with --camera), or a recording."""
+    output: Annotated[Path, Output]
+    """Folder for <camera>/<frame>."""
+    camera: str | None = None
+    """Which camera took a single picture or a flat folder."""
+    pattern: str | None = None
+    """How file names are built, as for calibrate."""
+    colour: OutputSpace = "srgb"
+    """Colour space of the output; xyz-d65 writes float32 TIFF in the order X, Y, Z."""
+    undistort: Flag = False
+    """Remove lens distortion, keeping size and K."""
+    force: Flag = False
+    """Replace the output folder."""
+
+    def run(self) -> int:
+        """Correct and report."""
+        with self.progress() as progress:
+            written = correct(
+                load_rig(self.rig),
+                self.source,
+                self.output,
+                camera=self.camera,
+                pattern=self.pattern,
+                space=self.colour,
+                undistort=self.undistort,
+                force=self.force,
+                progress=progress,
+            )
+        self.show(
+            f"Wrote {len(written)} pictures to {self.output}",
+            {"written": [str(path) for path in written]},
+        )
+        return 0

@@ -1,0 +1,71 @@
+"""``calichrome detect``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from calichrome.cli.terminal import Command, Flag, Output, Positional, names_from
+from calichrome.core.files import check_output
+from calichrome.imaging import MAX_MEGAPIXELS, open_recording
+from calichrome.observations import write_observations
+from calichrome.pipeline.detect import detect_recording, find_target
+
+__all__ = ["Detect"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Detect(Command):
+    """Find the board in every picture and write corners and disc colours as CSV."""
+
+    recording: Positional[Path]
+    """Folder of pictures."""
+    output: Annotated[Path, Output] = Path("corners.csv")
+    """NAME.csv; NAME.markers.csv and NAME.rejected.csv are written beside it."""
+    target: str | None = None
+    """target.json or chessboard:NxM:SIZE. Default: target.json in the recording."""
+    pattern: str | None = None
+    """How file names are built, like "{camera}_{frame}"."""
+    cameras: tuple[str, ...] = ()
+    """Use only these cameras."""
+    overlay: Path | None = None
+    """Folder for pictures with corners, ids, discs and reasons drawn in."""
+    max_megapixels: float = MAX_MEGAPIXELS
+    """Refuse larger pictures before decoding them."""
+    force: Flag = False
+    """Replace existing outputs."""
+
+    def run(self) -> int:
+        """Detect and write; exit code 1 if there is no board anywhere."""
+        check_output(self.output, force=self.force)
+        if self.overlay is not None:
+            check_output(self.overlay, force=self.force)
+        recording = open_recording(
+            self.recording,
+            pattern=self.pattern,
+            cameras=names_from(self.cameras),
+            max_megapixels=self.max_megapixels,
+        )
+        target = find_target(recording, self.target, None)
+        with self.progress() as progress:
+            detection = detect_recording(
+                recording, target, overlay=self.overlay, progress=progress
+            )
+        write_observations(
+            detection.dataset, detection.rejected, self.output, force=self.force
+        )
+        views = {camera: len(seen) for camera, seen in detection.dataset.views.items()}
+        lines = [recording.reading]
+        lines += [
+            f"camera {camera}: board in {count} of {len(recording.files[camera])} pictures"
+            for camera, count in views.items()
+        ]
+        lines += [f"  {camera} {frame}: {why}" for camera, frame, why in detection.rejected[:12]]
+        if len(detection.rejected) > 12:
+            lines.append(f"  and {len(detection.rejected) - 12} more in {self.output.stem}.rejected.csv")
+        lines.append(f"Wrote {self.output}")
+        rejected = [
+            {"camera": camera, "frame": frame, "reason": why}
+            for camera, frame, why in detection.rejected
+        ]
+        self.show("\n".join(lines), {"views": views, "rejected": rejected})
+        return 0 if any(views.values()) else 1

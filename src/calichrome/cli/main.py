@@ -1,0 +1,84 @@
+"""The command ``calichrome``."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from calichrome._version import __version__
+from calichrome.cli.calibrate import Calibrate
+from calichrome.cli.correct import Correct
+from calichrome.cli.demo import Demo
+from calichrome.cli.detect import Detect
+from calichrome.cli.rectify import Rectify
+from calichrome.cli.simulate import Simulate
+from calichrome.cli.target import TargetCheck, TargetMake, TargetMeasure
+from calichrome.cli.terminal import Command
+from calichrome.errors import CalichromeError
+
+__all__ = ["main"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Target(Command):
+    """Design, check or measure a target: make | check | measure."""
+
+    action: (
+        Annotated[TargetMake, tyro.conf.subcommand("make")]
+        | Annotated[TargetCheck, tyro.conf.subcommand("check")]
+        | Annotated[TargetMeasure, tyro.conf.subcommand("measure")]
+    )
+
+    def run(self) -> int:
+        """Run the chosen action."""
+        return self.action.run()
+
+
+_Commands = (
+    Annotated[_Target, tyro.conf.subcommand("target")]
+    | Annotated[Simulate, tyro.conf.subcommand("simulate")]
+    | Annotated[Detect, tyro.conf.subcommand("detect")]
+    | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
+    | Annotated[Correct, tyro.conf.subcommand("correct")]
+    | Annotated[Rectify, tyro.conf.subcommand("rectify")]
+    | Annotated[Demo, tyro.conf.subcommand("demo")]
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Returns
+    -------
+    int
+        0 done and trustworthy; 1 cannot, with one sentence on stderr; 2 wrong usage; 3 done, but a
+        critical finding says not to trust it.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments == ["--version"]:
+        print(f"calichrome {__version__}")
+        return 0
+    try:
+        command: Command = tyro.cli(
+            _Commands,  # type: ignore[arg-type]
+            prog="calichrome",
+            description="Calibrate camera rigs in geometry and colour from one printed board.",
+            args=arguments,
+            config=(tyro.conf.OmitArgPrefixes, tyro.conf.OmitSubcommandPrefixes),
+        )
+    except SystemExit as stop:  # tyro has printed help (0) or what is wrong with the words (2)
+        return int(stop.code or 0)
+    try:
+        return command.run()
+    except CalichromeError as error:
+        print(f"calichrome: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("calichrome: interrupted; nothing was written", file=sys.stderr)
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,64 @@
+"""What every command shares: the option --json, progress on stderr, results on stdout."""
+
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from calichrome.pipeline.detect import Progress as ProgressCall
+
+__all__ = ["Command", "Flag", "Output", "Positional", "names_from"]
+
+Positional = tyro.conf.Positional
+Output = tyro.conf.arg(aliases=["-o"])
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """Base of all commands."""
+
+    json: Flag = False
+    """Print the result as JSON."""
+
+    def run(self) -> int:
+        """Do the work and return the exit code."""
+        raise NotImplementedError
+
+    def show(self, text: str, data: dict[str, Any]) -> None:
+        """Print the result for a person, or with --json for a program."""
+        print(json.dumps(data, indent=1) if self.json else text)
+
+    @contextmanager
+    def progress(self) -> Iterator[ProgressCall]:
+        """Yield a callback that draws progress bars on stderr, if someone is watching."""
+        console = Console(stderr=True)
+        bars = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            console=console,
+            transient=True,
+            disable=self.json or not sys.stderr.isatty(),
+        )
+        tasks: dict[str, Any] = {}
+        with bars:
+
+            def report(what: str, done: int, total: int) -> None:
+                if what not in tasks:
+                    tasks[what] = bars.add_task(what, total=total)
+                bars.update(tasks[what], completed=done, total=total)
+
+            yield report
+
+
+def names_from(values: Sequence[str]) -> tuple[str, ...]:
+    """Split lists like ``a,b``; ``a b`` works as well."""
+    return tuple(name for value in values for name in value.split(",") if name)

@@ -1,0 +1,1 @@
+"""Colour of the standard observer: encodings, adaptation, differences."""

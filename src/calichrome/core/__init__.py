@@ -1,0 +1,1 @@
+"""Mathematics without pictures: arrays, rigid motions, least squares, findings."""

@@ -1,0 +1,107 @@
+"""Outputs that are either whole or absent."""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from calichrome.errors import OutputError
+
+__all__ = ["check_output", "refuse_existing", "writing_file", "writing_folder"]
+
+
+def refuse_existing(path: Path, *, force: bool) -> None:
+    """Raise `OutputError` when `path` is there and may not be replaced."""
+    if path.exists() and not force:
+        raise OutputError(f"{path} exists; choose another -o or allow replacing with --force")
+
+
+@contextmanager
+def writing_file(path: Path, *, force: bool = False) -> Iterator[Path]:
+    """Yield a temporary path beside `path`; rename it on success, remove it on failure.
+
+    Raises
+    ------
+    OutputError
+        If `path` exists (without `force`), is a folder, or its folder cannot be written.
+    """
+    refuse_existing(path, force=force)
+    if path.is_dir():
+        raise OutputError(f"{path} is a folder; -o wants the name of a file")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent
+        )
+        os.close(handle)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    temporary = Path(name)
+    try:
+        yield temporary
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)  # mkstemp made it private
+        temporary.replace(path)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def writing_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
+    """Yield a temporary folder beside `path`; put it in place on success.
+
+    An existing folder is replaced as a whole, and only with `force`; an empty one always.
+
+    Raises
+    ------
+    OutputError
+        As `writing_file`.
+    """
+    empty = path.is_dir() and not any(path.iterdir())
+    refuse_existing(path, force=force or empty)
+    if path.exists() and not path.is_dir():
+        raise OutputError(f"{path} is a file; -o wants the name of a folder")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    try:
+        yield temporary
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o777 & ~umask)
+        if path.exists():
+            old = Path(tempfile.mkdtemp(prefix=f".{path.name}-old-", dir=path.parent))
+            path.replace(old / path.name)
+            temporary.replace(path)
+            shutil.rmtree(old)
+        else:
+            temporary.replace(path)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _cannot_write(path: Path, error: OSError) -> OutputError:
+    reason = error.strerror or str(error)
+    return OutputError(f"{path} cannot be written ({reason}); choose another -o")
+
+
+def check_output(path: Path, *, force: bool) -> None:
+    """Raise `OutputError` now if `path` could not be written later, after long work."""
+    refuse_existing(path, force=force)
+    parent = path.parent
+    while not parent.exists():
+        parent = parent.parent
+    try:
+        with tempfile.TemporaryFile(dir=parent):
+            pass
+    except OSError as error:
+        raise _cannot_write(path, error) from error

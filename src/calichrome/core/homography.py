@@ -1,0 +1,85 @@
+"""Plane to plane."""
+
+import numpy as np
+
+from calichrome.core.arrays import FloatArray
+
+__all__ = ["apply_homography", "fit_homography", "homographies_of_cells"]
+
+
+def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
+    """Fit H with ``target ~ H source`` by the normalised direct linear transform.
+
+    Parameters
+    ----------
+    source, target : (N, 2) float
+        Matching points, N >= 4, no three of four on a line. Any unit.
+
+    Returns
+    -------
+    (3, 3) float
+        Scaled to ``H[2, 2] = 1``.
+
+    Raises
+    ------
+    ValueError
+        If fewer than four points are given.
+
+    References
+    ----------
+    .. [1] R. Hartley, "In Defense of the Eight-Point Algorithm", IEEE PAMI 19 (6), 1997 (the
+       normalisation); R. Hartley and A. Zisserman, "Multiple View Geometry", 2nd ed., alg. 4.2.
+    """
+    if len(source) < 4 or len(source) != len(target):
+        raise ValueError(f"homography: needs 4 or more matching points, got {len(source)}")
+    to_source, to_target = _normaliser(source), _normaliser(target)
+    x, y = apply_homography(to_source, source).T
+    u, v = apply_homography(to_target, target).T
+    one, zero = np.ones_like(x), np.zeros_like(x)
+    rows_u = np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1)
+    rows_v = np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1)
+    _, _, vt = np.linalg.svd(np.concatenate([rows_u, rows_v]))
+    homography = np.linalg.solve(to_target, vt[-1].reshape(3, 3) @ to_source)
+    return np.asarray(homography / homography[2, 2])
+
+
+def apply_homography(homography: FloatArray, points: FloatArray) -> FloatArray:
+    """Map points of shape (..., 2)."""
+    mapped = points @ homography[:, :2].T + homography[:, 2]
+    return np.asarray(mapped[..., :2] / mapped[..., 2:])
+
+
+def homographies_of_cells(grid: FloatArray) -> FloatArray:
+    """Map the unit square to each cell of a grid of points.
+
+    Parameters
+    ----------
+    grid : (ny, nx, 2) float
+        Points; cell [iy, ix] lies between the points [iy, ix] and [iy + 1, ix + 1].
+
+    Returns
+    -------
+    (ny - 1, nx - 1, 3, 3) float
+        (0, 0), (1, 0), (0, 1), (1, 1) go to the four points of the cell, x before y.
+
+    References
+    ----------
+    .. [1] P. S. Heckbert, "Fundamentals of Texture Mapping and Image Warping", Master's thesis,
+       UC Berkeley, 1989, section 2.2.3 (unit square to quadrilateral).
+    """
+    p00, p10, p01, p11 = grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]
+    across, down, bulge = p10 - p11, p01 - p11, p00 - p10 + p11 - p01
+    determinant = across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0]
+    g = (bulge[..., 0] * down[..., 1] - bulge[..., 1] * down[..., 0]) / determinant
+    h = (across[..., 0] * bulge[..., 1] - across[..., 1] * bulge[..., 0]) / determinant
+    column_x = p10 - p00 + g[..., None] * p10
+    column_y = p01 - p00 + h[..., None] * p01
+    upper = np.stack([column_x, column_y, p00], axis=-1)
+    lower = np.stack([g, h, np.ones_like(g)], axis=-1)
+    return np.concatenate([upper, lower[..., None, :]], axis=-2)
+
+
+def _normaliser(points: FloatArray) -> FloatArray:
+    centre = points.mean(axis=0)
+    scale = np.sqrt(2) / max(np.linalg.norm(points - centre, axis=1).mean(), 1e-300)
+    return np.array([[scale, 0, -scale * centre[0]], [0, scale, -scale * centre[1]], [0, 0, 1]])

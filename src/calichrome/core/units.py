@@ -1,0 +1,50 @@
+"""Lengths as people type them: a number with its unit."""
+
+import math
+import re
+
+__all__ = ["parse_length", "parse_lengths"]
+
+_METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+_LENGTH = re.compile(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(mm|cm|m|in)?\s*")
+
+
+def parse_length(text: str) -> float:
+    """Return metres.
+
+    Raises
+    ------
+    ValueError
+        If the unit is missing, the text is not a length, or it is not positive.
+
+    Examples
+    --------
+    >>> parse_length("30mm"), parse_length("1.2in")
+    (0.03, 0.03048)
+    """
+    match = _LENGTH.fullmatch(text)
+    if match is None:
+        raise ValueError(f"{text!r} is not a length: write a number and mm, cm, m or in, like 30mm")
+    if match[2] is None:
+        raise ValueError(f"{text!r} has no unit: write {text.strip()}mm, {text.strip()}cm ...")
+    metres = float(match[1]) * _METRES[match[2]]
+    if not 0 < metres < math.inf:
+        raise ValueError(f"{text!r} is not a positive length")
+    return metres
+
+
+def parse_lengths(text: str) -> tuple[float, float]:
+    """Return metres along x and y of "39.7mm" or "39.7x39.9mm".
+
+    Examples
+    --------
+    >>> parse_lengths("39.7x39.9mm")
+    (0.0397, 0.0399)
+    """
+    first, cross, second = text.partition("x")
+    if not cross:
+        return (parse_length(text),) * 2
+    unit = re.search(r"[a-z]+\s*$", second)
+    if unit is not None and re.search(r"[a-z]", first) is None:
+        first += unit[0]
+    return parse_length(first), parse_length(second)

@@ -1,0 +1,137 @@
+"""Pictures from files and into files."""
+
+import hashlib
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from calichrome.colorimetry.encoding import EncodingName
+from calichrome.core.files import writing_file
+from calichrome.errors import OutputError
+from calichrome.imaging.header import Unreadable, read_header
+from calichrome.imaging.image import Image, Pixels
+
+__all__ = ["MAX_MEGAPIXELS", "PICTURE_SUFFIXES", "read_image", "read_size", "write_picture"]
+
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+MAX_MEGAPIXELS = 200.0
+_MAX_BYTES = 4_000_000_000
+
+
+def read_image(
+    path: Path,
+    *,
+    encoding: EncodingName | None = None,
+    bits: int | None = None,
+    max_megapixels: float = MAX_MEGAPIXELS,
+) -> Image | Unreadable:
+    """Read one picture; a bad file is an answer, not an exception.
+
+    Parameters
+    ----------
+    path
+        PNG, JPEG or TIFF; 8 or 16 bit or float32; grey, RGB or RGBA (alpha is dropped).
+    encoding
+        None: 8 bit is taken as sRGB, 16 bit and float as linear.
+    bits
+        Significant bits of the stored integers; None: all of them.
+    max_megapixels
+        Refuse larger pictures before decoding.
+
+    Notes
+    -----
+    A rotation tag in EXIF is not applied: it would change the pixel frame of the lens.
+    """
+    content = _read_bytes(path)
+    if isinstance(content, Unreadable):
+        return content
+    header = read_header(content, max_megapixels)
+    if isinstance(header, Unreadable):
+        return header
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what OpenCV would print about bad files, we say in our own words
+    try:
+        decoded = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        return Unreadable(f"cannot be decoded ({error.err})")
+    if decoded is None or (decoded.shape[1], decoded.shape[0]) != header.size_wh:
+        return Unreadable("the file is cut off or damaged; copy it again")
+    if decoded.dtype not in (np.uint8, np.uint16, np.float32):
+        return Unreadable(f"holds {decoded.dtype} pixels; 8 or 16 bit or float32 is read")
+    if decoded.dtype == np.float32 and not np.isfinite(decoded).all():
+        return Unreadable("holds pixels that are not finite")
+    integer_bits = 8 * decoded.dtype.itemsize
+    return Image(
+        pixels=_to_rgb(decoded),
+        encoding=encoding or ("srgb" if decoded.dtype == np.uint8 else "linear"),
+        bits=min(bits or integer_bits, integer_bits),
+        sha256=hashlib.sha256(content).hexdigest(),
+        exposure=header.exposure,
+        rotation_tag=header.rotation_tag,
+    )
+
+
+def read_size(
+    path: Path, *, max_megapixels: float = MAX_MEGAPIXELS
+) -> tuple[int, int] | Unreadable:
+    """Return width and height from the header alone."""
+    content = _read_bytes(path)
+    header = content if isinstance(content, Unreadable) else read_header(content, max_megapixels)
+    return header if isinstance(header, Unreadable) else header.size_wh
+
+
+def _read_bytes(path: Path) -> bytes | Unreadable:
+    try:
+        size = path.stat().st_size
+        if size > _MAX_BYTES:
+            return Unreadable(f"is {size / 1e9:.1f} GB large")
+        return path.read_bytes()
+    except OSError as error:
+        return Unreadable(f"cannot be read ({error.strerror})")
+
+
+def _to_rgb(decoded: Pixels) -> Pixels:
+    if decoded.ndim == 2:
+        return decoded
+    if decoded.shape[2] < 3:
+        return np.ascontiguousarray(decoded[:, :, 0])
+    rgb = np.ascontiguousarray(decoded[:, :, 2::-1])
+    grey = np.array_equal(rgb[:, :, 0], rgb[:, :, 1]) and np.array_equal(rgb[:, :, 0], rgb[:, :, 2])
+    return np.ascontiguousarray(rgb[:, :, 0]) if grey else rgb
+
+
+def write_picture(
+    path: Path, pixels: Pixels, *, jpeg_quality: int = 95, force: bool = False
+) -> None:
+    """Write a picture whole or not at all; the format follows the suffix.
+
+    Parameters
+    ----------
+    path
+        .png (8 or 16 bit), .jpg (8 bit, chroma not subsampled), .tif (8, 16 bit or float32).
+    pixels : (H, W, 3) RGB or (H, W) grey
+    jpeg_quality
+        0..100.
+    force
+        Replace an existing file.
+
+    Raises
+    ------
+    OutputError
+        If the file exists or cannot be written.
+    """
+    ordered = pixels[:, :, ::-1] if pixels.ndim == 3 else pixels
+    options: list[int] = []
+    if path.suffix.lower() in (".jpg", ".jpeg"):
+        options = [
+            cv2.IMWRITE_JPEG_QUALITY, jpeg_quality,
+            cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+        ]  # fmt: skip
+    ok, content = cv2.imencode(path.suffix, np.ascontiguousarray(ordered), options)
+    if not ok:
+        raise OutputError(f"{path} cannot be encoded; use .png, .jpg or .tif")
+    with writing_file(path, force=force) as temporary, temporary.open("wb") as stream:
+        stream.write(content.tobytes())
+        stream.flush()
+        os.fsync(stream.fileno())

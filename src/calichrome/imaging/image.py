@@ -1,0 +1,92 @@
+"""A picture that knows what its numbers mean."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calichrome.colorimetry.encoding import EncodingName, encode, linearise
+from calichrome.core.arrays import FloatArray
+
+__all__ = ["Image", "Pixels"]
+
+Pixels = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]
+
+_NEARLY_FULL = 0.995  # of full scale: 254 of 255, where 8-bit files begin to clip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Image:
+    """Pixels with their encoding and depth.
+
+    Parameters
+    ----------
+    pixels : (H, W, 3) RGB or (H, W) grey; uint8, uint16 or float32
+    encoding
+        How light became numbers.
+    bits
+        Significant bits of integer pixels; full scale is 2^bits - 1. Float pixels: 1.0.
+    sha256
+        Sum of the file's bytes, "" if it did not come from a file.
+    exposure
+        What EXIF says of exposure, gain and white balance; empty without EXIF.
+    rotation_tag
+        EXIF's orientation, 1 = as stored; never applied to the pixels.
+    """
+
+    pixels: Pixels
+    encoding: EncodingName
+    bits: int
+    sha256: str = ""
+    exposure: Mapping[str, float] = field(default_factory=dict)
+    rotation_tag: int = 1
+
+    @property
+    def size_wh(self) -> tuple[int, int]:
+        """Width and height, pixels."""
+        return self.pixels.shape[1], self.pixels.shape[0]
+
+    @property
+    def is_colour(self) -> bool:
+        """Whether there are three channels."""
+        return self.pixels.ndim == 3
+
+    @property
+    def full_scale(self) -> float:
+        """The largest value a pixel can hold."""
+        return 1.0 if self.pixels.dtype == np.float32 else float(2**self.bits - 1)
+
+    def linear(self, window: tuple[slice, slice] | None = None) -> FloatArray:
+        """Linear light 0..1 of full scale, shape (h, w, 3), of a window or of everything."""
+        pixels = self.pixels if window is None else self.pixels[window]
+        if pixels.ndim == 2:
+            pixels = np.repeat(pixels[..., None], 3, axis=2)
+        if pixels.dtype == np.float32:
+            return linearise(pixels.astype(np.float64), self.encoding)
+        table = linearise(np.arange(int(self.full_scale) + 1) / self.full_scale, self.encoding)
+        return np.asarray(table[np.minimum(pixels, int(self.full_scale))])
+
+    def is_clipped(self, window: tuple[slice, slice]) -> NDArray[np.bool_]:
+        """Where any channel of a window is at full scale, shape (h, w)."""
+        clipped = self.pixels[window] >= _NEARLY_FULL * self.full_scale
+        return clipped if clipped.ndim == 2 else clipped.any(axis=2)
+
+    def grey(self) -> NDArray[np.float32]:
+        """A grey picture for finding boards: sRGB-like tones, full contrast, 0..255, (H, W).
+
+        Linear pictures are encoded first: in linear tones a dark board would hardly show.
+        """
+        values = self.pixels.astype(np.float32)
+        if self.is_colour:
+            values = values @ _LUMA
+        if self.pixels.dtype == np.uint8 and self.encoding != "linear":
+            return values
+        top = max(float(np.quantile(values, 0.995)), 1e-6)  # highlights may not set the scale
+        values = np.clip(values / np.float32(top), 0, 1)
+        if self.encoding == "linear":
+            values = encode(values.astype(np.float64), "srgb").astype(np.float32)
+        return np.asarray(values * np.float32(255))
+
+
+_LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)  # ITU-R BT.601, as OpenCV's grey

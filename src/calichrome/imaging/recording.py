@@ -1,0 +1,282 @@
+"""A folder of pictures, read as cameras and frames."""
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from calichrome.colorimetry.encoding import EncodingName
+from calichrome.errors import RecordingError
+from calichrome.imaging.files import MAX_MEGAPIXELS, PICTURE_SUFFIXES, read_image
+from calichrome.imaging.header import Unreadable
+from calichrome.imaging.image import Image
+from calichrome.imaging.pattern import NamePattern
+from calichrome.imaging.recording_file import CameraEntry, RecordingFile, read_recording_file
+
+__all__ = ["Recording", "open_recording", "picture_files"]
+
+_BACKGROUND = "background"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recording:
+    """Where the picture of each camera and frame is.
+
+    Parameters
+    ----------
+    folder
+        The recording.
+    files
+        camera id -> frame id -> file; same frame id = same instant.
+    ignored
+        Pictures that the reading leaves out.
+    reading
+        How the names were understood, in words.
+    settings
+        recording.toml.
+    """
+
+    folder: Path
+    files: Mapping[str, Mapping[str, Path]]
+    ignored: tuple[Path, ...] = ()
+    reading: str = ""
+    settings: RecordingFile = field(default_factory=RecordingFile)
+    max_megapixels: float = MAX_MEGAPIXELS
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Camera ids, sorted."""
+        return tuple(self.files)
+
+    @property
+    def n_pictures(self) -> int:
+        """Number of pictures."""
+        return sum(len(frames) for frames in self.files.values())
+
+    def entry(self, camera_id: str) -> CameraEntry:
+        """What recording.toml says of a camera."""
+        return self.settings.camera(camera_id)
+
+    def read(self, camera_id: str, frame_id: str) -> Image | Unreadable:
+        """Read one picture with the encoding stated for its camera."""
+        entry = self.entry(camera_id)
+        stated: EncodingName | None = (
+            None if entry.encoding in (None, "unknown") else entry.encoding
+        )
+        return read_image(
+            self.files[camera_id][frame_id],
+            encoding=stated,
+            bits=entry.bits,
+            max_megapixels=self.max_megapixels,
+        )
+
+
+def picture_files(folder: Path) -> list[Path]:
+    """All picture files below a folder, sorted; hidden ones are left out."""
+    return sorted(
+        path
+        for path in folder.rglob("*")
+        if path.suffix.lower() in PICTURE_SUFFIXES
+        and path.is_file()
+        and not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    )
+
+
+def open_recording(
+    folder: Path,
+    *,
+    pattern: str | None = None,
+    cameras: Sequence[str] = (),
+    max_megapixels: float = MAX_MEGAPIXELS,
+) -> Recording:
+    """Find the cameras and frames of a folder.
+
+    Parameters
+    ----------
+    folder
+        ``folder/<camera>/<frame>.png``, a flat folder of one camera, or what `pattern` says.
+    pattern
+        See `NamePattern`; over what recording.toml says.
+    cameras
+        Use only these cameras; empty: all.
+    max_megapixels
+        Refuse larger pictures before decoding.
+
+    Raises
+    ------
+    RecordingError
+        If there are no pictures, several ways to read them, or no common frame.
+    """
+    if not folder.is_dir():
+        raise RecordingError(f"{folder} is not a folder; give the folder that holds the pictures")
+    settings = read_recording_file(folder / "recording.toml")
+    paths = picture_files(folder)
+    if not paths:
+        kinds = ", ".join(PICTURE_SUFFIXES)
+        raise RecordingError(
+            f"{folder}: holds no pictures ({kinds}); videos and raw files are not read by this "
+            f"release: extract their frames as PNG or 16-bit TIFF"
+        )
+    text = pattern or settings.pattern
+    if text is not None:
+        files = _read_by_pattern(folder, paths, NamePattern.compile(text))
+        reading = f"read by the pattern {text}"
+        if not files:
+            example = _stem(folder, paths[0])
+            raise RecordingError(
+                f"{folder}: none of {len(paths)} pictures matches --pattern {text}; names look "
+                f"like {example}"
+            )
+    else:
+        files, reading = _read_layout(folder, paths)
+    files = _without_background(files)
+    files = _only(files, cameras, folder)
+    _check_common_frames(files, folder)
+    used = {path for frames in files.values() for path in frames.values()}
+    return Recording(
+        folder=folder,
+        files={
+            camera: {frame: files[camera][frame] for frame in sorted(files[camera], key=_natural)}
+            for camera in sorted(files, key=_natural)
+        },
+        ignored=tuple(path for path in paths if path not in used),
+        reading=reading,
+        settings=settings,
+        max_megapixels=max_megapixels,
+    )
+
+
+Files = dict[str, dict[str, Path]]
+
+
+def _natural(name: str) -> list[tuple[bool, int, str]]:
+    """Sort key by which frame 9 comes before frame 10."""
+    parts = re.findall(r"\d{1,18}|\D+", name)
+    return [(not part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts]
+
+
+def _stem(folder: Path, path: Path) -> str:
+    return path.relative_to(folder).with_suffix("").as_posix()
+
+
+def _insert(files: Files, camera: str, frame: str, path: Path) -> None:
+    frames = files.setdefault(camera, {})
+    if frame in frames:
+        raise RecordingError(
+            f"{frames[frame]} and {path} are both frame {frame} of camera {camera}; remove one, or "
+            f"tell them apart with --pattern"
+        )
+    frames[frame] = path
+
+
+def _read_by_pattern(folder: Path, paths: Iterable[Path], pattern: NamePattern) -> Files:
+    files: Files = {}
+    for path in paths:
+        found = pattern.match(_stem(folder, path))
+        if found is not None:
+            _insert(files, *found, path)
+    return files
+
+
+def _read_layout(folder: Path, paths: Sequence[Path]) -> tuple[Files, str]:
+    """Recognise ``<camera>/<frame>`` or a flat folder; refuse what can be read in two ways."""
+    flat = [path for path in paths if path.parent == folder]
+    nested = [path for path in paths if path.parent.parent == folder]
+    if flat and nested:
+        raise RecordingError(
+            f"{folder}: holds pictures ({len(flat)}) and folders of pictures ({len(nested)}); say "
+            f'which with --pattern "{{frame}}" or --pattern "{{camera}}/{{frame}}"'
+        )
+    if flat:
+        return _read_flat(folder, flat)
+    files: Files = {}
+    for path in nested:
+        _insert(files, path.parent.name, path.stem, path)
+    if not files:
+        raise RecordingError(
+            f"{folder}: its pictures lie deeper than <camera>/<frame>; say how their names are "
+            f'built with --pattern, like "{_stem(folder, paths[0])}" with fields'
+        )
+    return _drop_camera_from_frames(files)
+
+
+def _read_flat(folder: Path, paths: Sequence[Path]) -> tuple[Files, str]:
+    one_camera = {"cam0": {path.stem: path for path in paths}}
+    several = _camera_in_name(paths)
+    if several is None:
+        return one_camera, "a flat folder: one camera, cam0"
+    pattern, names = several
+    raise RecordingError(
+        f"{folder}: can be read as one camera with {len(paths)} frames (--pattern "
+        f'"{{frame}}") or as cameras {", ".join(names)} (--pattern "{pattern}"); say which'
+    )
+
+
+def _camera_in_name(paths: Sequence[Path]) -> tuple[str, list[str]] | None:
+    """Whether names like left01, right01 or 01_left hold a camera; the pattern and the cameras."""
+    readings = (
+        (r"(?P<camera>.*?\D)(?P<frame>\d+)", "{{camera:{0}}}{{frame}}"),
+        (r"(?P<frame>\d+)(?P<camera>\D.*)", "{{frame}}{{camera:{0}}}"),
+    )
+    for expression, text in readings:
+        frames = defaultdict(set)
+        for path in paths:
+            found = re.fullmatch(expression, path.stem)
+            if found is not None:
+                frames[found["camera"]].add(found["frame"])
+        shared = Counter(frame for names in frames.values() for frame in names)
+        if len(frames) > 1 and max(shared.values()) > 1:
+            return text.format("|".join(sorted(frames))), sorted(frames)
+    return None
+
+
+def _drop_camera_from_frames(files: Files) -> tuple[Files, str]:
+    """Read ``left/left01`` beside ``right/right01`` as frame 01, if only that gives pairs."""
+    plain = f"folders are cameras: {', '.join(sorted(files))}"
+    if len(files) < 2 or _most_shared(files) > 1:
+        return files, plain
+    shorter: Files = {}
+    for camera, frames in files.items():
+        for frame, path in frames.items():
+            _insert(shorter, camera, frame.replace(camera, "", 1).strip("_-. ") or frame, path)
+    if _most_shared(shorter) > 1:
+        return shorter, f"{plain}; the camera's name is taken out of the frame's"
+    return files, plain
+
+
+def _most_shared(files: Files) -> int:
+    return max(Counter(frame for frames in files.values() for frame in frames).values(), default=0)
+
+
+def _without_background(files: Files) -> Files:
+    kept = {
+        camera: {
+            frame: path for frame, path in frames.items() if not frame.startswith(_BACKGROUND)
+        }
+        for camera, frames in files.items()
+        if camera != _BACKGROUND
+    }
+    return {camera: frames for camera, frames in kept.items() if frames}
+
+
+def _only(files: Files, cameras: Sequence[str], folder: Path) -> Files:
+    missing = [camera for camera in cameras if camera not in files]
+    if missing:
+        raise RecordingError(
+            f"{folder}: has no camera {', '.join(missing)}; there are {', '.join(sorted(files))}"
+        )
+    if not files:
+        raise RecordingError(f"{folder}: holds only background pictures; record views of a board")
+    return {camera: files[camera] for camera in cameras} if cameras else files
+
+
+def _check_common_frames(files: Files, folder: Path) -> None:
+    if len(files) > 1 and _most_shared(files) < 2:
+        examples = "; ".join(
+            f"{camera}: {', '.join(sorted(frames)[:3])}" for camera, frames in sorted(files.items())
+        )
+        raise RecordingError(
+            f"{folder}: no frame name is common to two cameras ({examples}); give pictures of one "
+            f"instant the same name, or say where it is in the name with --pattern"
+        )

@@ -1,0 +1,372 @@
+"""From a recording to a rig: the one place that knows geometry and colour."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from calichrome.colorimetry.encoding import EncodingName
+from calichrome.colour.fit import ColourSolution, between_cameras, fit_colour
+from calichrome.colour.samples import collect_samples
+from calichrome.core.arrays import FloatArray
+from calichrome.core.findings import Finding, finding
+from calichrome.core.pose import Pose
+from calichrome.detection import BoardToPixels, measure_discs
+from calichrome.errors import FileFormatError, RecordingError, TargetError
+from calichrome.geometry.held_out import held_out_rms_px
+from calichrome.geometry.lenses import BrownConrady
+from calichrome.geometry.rig_graph import UncertainPose
+from calichrome.geometry.rig_solve import RigSolution, solve_rig_pairwise
+from calichrome.imaging import MAX_MEGAPIXELS, Image, Recording, Unreadable, open_recording, read_size
+from calichrome.observations import BoardView, Dataset, read_corners
+from calichrome.pipeline.detect import (
+    Detection,
+    Progress,
+    detect_recording,
+    find_target,
+    require_boards,
+    silent,
+)
+from calichrome.pipeline.judge import (
+    judge_colour,
+    judge_exposures,
+    judge_geometry,
+    judge_target,
+    judge_unknown_encodings,
+)
+from calichrome.rig import Camera, CameraColour, Evidence, Pair, PlacedFrame, Rig
+from calichrome.target import Target, parse_target
+
+__all__ = ["Calibration", "CalibrationSettings", "calibrate", "calibrate_dataset", "run"]
+
+_SCALE_SIGMA = 0.005  # relative: what a printer driver's "fit to page" leaves unnoticed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationSettings:
+    """How to calibrate.
+
+    Parameters
+    ----------
+    target
+        target.json, or chessboard:NxM:SIZE with NxM inner corners (for example
+        chessboard:9x6:30mm). Default: target.json in the recording.
+    square
+        Measured size of a square, like 39.7mm or 39.7x39.9mm; overrides the target's.
+    pattern
+        How file names are built, like "{camera}_{frame}" or "{camera:left|right}{frame}".
+    cameras
+        Use only these cameras.
+    method
+        "pairwise": each camera, then pairs, then the chain to the reference camera.
+    reference_camera
+        Default: the camera with the least total path error.
+    max_megapixels
+        Refuse larger pictures before decoding them.
+    """
+
+    target: str | None = None
+    square: str | None = None
+    pattern: str | None = None
+    cameras: tuple[str, ...] = ()
+    method: Literal["pairwise"] = "pairwise"
+    reference_camera: str | None = None
+    max_megapixels: float = MAX_MEGAPIXELS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Calibration:
+    """A rig and what it was computed from."""
+
+    rig: Rig
+    evidence: Evidence
+    recording: Recording | None = None
+    n_pictures: int = 0
+
+
+def calibrate(
+    recording: Path | str,
+    settings: CalibrationSettings | None = None,
+    *,
+    progress: Progress = silent,
+) -> Rig:
+    """Calibrate the cameras of a recording; see `CalibrationSettings`.
+
+    Raises
+    ------
+    CalichromeError
+        One sentence that says what is wrong and what to do.
+    """
+    return run(Path(recording), settings or CalibrationSettings(), progress=progress).rig
+
+
+def run(
+    folder: Path, settings: CalibrationSettings, *, progress: Progress = silent
+) -> Calibration:
+    """Calibrate a recording, and keep the evidence."""
+    recording = open_recording(
+        folder,
+        pattern=settings.pattern,
+        cameras=settings.cameras,
+        max_megapixels=settings.max_megapixels,
+    )
+    target = find_target(recording, settings.target, settings.square)
+    detection = detect_recording(recording, target, progress=progress)
+    require_boards(detection, recording, target)
+    return _calibrate(detection, target, settings, recording, progress)
+
+
+def run_on_corners(
+    corners: Path,
+    folder: Path | None,
+    sizes_wh: Mapping[str, tuple[int, int]],
+    settings: CalibrationSettings,
+    *,
+    progress: Progress = silent,
+) -> Calibration:
+    """Calibrate from a corner file instead of pictures.
+
+    Parameters
+    ----------
+    corners
+        NAME.csv of `detect`; colours come from NAME.markers.csv if it is there.
+    folder
+        The recording, for picture sizes and target.json; may be None.
+    sizes_wh
+        Picture sizes by camera, where there is no recording.
+    settings, progress
+        As in `run`.
+    """
+    sizes = dict(sizes_wh)
+    if folder is None:
+        if settings.target is None:
+            raise TargetError("the target is not known; give --target")
+        target = parse_target(settings.target)
+        recording = None
+    else:
+        recording = open_recording(folder, pattern=settings.pattern, cameras=settings.cameras)
+        target = find_target(recording, settings.target, settings.square)
+        sizes = _sizes_of(recording) | sizes
+    dataset = read_corners(corners, sizes, target.n_corners)
+    if not dataset.views:
+        raise FileFormatError(f"{corners}: holds no corners; run detect again")
+    detection = Detection(dataset=dataset, rejected=(), findings=())
+    return _calibrate(detection, target, settings, None, progress)
+
+
+def _sizes_of(recording: Recording) -> dict[str, tuple[int, int]]:
+    sizes = {}
+    for camera, frames in recording.files.items():
+        for path in frames.values():
+            size = read_size(path, max_megapixels=recording.max_megapixels)
+            if not isinstance(size, Unreadable):
+                sizes[camera] = size
+                break
+        else:
+            raise RecordingError(f"camera {camera}: none of its pictures can be read")
+    return sizes
+
+
+def calibrate_dataset(
+    dataset: Dataset, target: Target, settings: CalibrationSettings | None = None
+) -> Calibration:
+    """Calibrate observations that are already in memory."""
+    detection = Detection(dataset=dataset, rejected=(), findings=())
+    return _calibrate(detection, target, settings or CalibrationSettings(), None, silent)
+
+
+def _calibrate(
+    detection: Detection,
+    target: Target,
+    settings: CalibrationSettings,
+    recording: Recording | None,
+    progress: Progress,
+) -> Calibration:
+    fixed = {}
+    if recording is not None:
+        fixed = {camera: recording.entry(camera).fixed for camera in recording.cameras}
+    reference = settings.reference_camera
+    if reference is None and recording is not None:
+        reference = recording.settings.reference_camera
+    progress("solving the geometry", 0, 2)
+    solved = solve_rig_pairwise(detection.dataset, target, reference=reference, fixed=fixed)
+    progress("solving the geometry", 1, 2)
+    held_out = held_out_rms_px(solved, target, fixed=fixed)
+    progress("solving the geometry", 2, 2)
+
+    findings = [*detection.findings, *judge_target(target), *judge_geometry(solved, target)]
+    dataset = solved.dataset
+    encodings: dict[str, EncodingName] = dict.fromkeys(dataset.cameras, "srgb")
+    if recording is not None and target.markers:
+        dataset, encodings = _measure_again(recording, solved, target, progress)
+        findings += judge_unknown_encodings(recording, encodings)
+    colours, colour_findings = _solve_colour(dataset, target, encodings)
+    findings += colour_findings
+
+    cameras = {
+        camera: _camera(camera, solved, target, held_out[camera], colours.get(camera), encodings[camera])
+        for camera in solved.cameras
+    }
+    differences = between_cameras(colours)
+    rig = Rig(
+        target=target,
+        reference_camera=solved.graph.reference,
+        cameras=cameras,
+        pairs=tuple(
+            Pair(names, pair.n_shared, pair.rms_px) for names, pair in solved.pairs.items()
+        ),
+        frames={
+            frame: PlacedFrame(board.ref_from_board, tuple(board.residuals_px))
+            for frame, board in solved.boards.items()
+        },
+        findings=tuple(findings),
+        inter_camera_delta_e_2000=None
+        if len(differences) == 0
+        else {"mean": float(differences.mean()), "p95": float(np.quantile(differences, 0.95))},
+    )
+    return Calibration(
+        rig=rig,
+        evidence=_evidence(solved),
+        recording=recording,
+        n_pictures=0 if recording is None else recording.n_pictures,
+    )
+
+
+def _measure_again(
+    recording: Recording, solved: RigSolution, target: Target, progress: Progress
+) -> tuple[Dataset, dict[str, EncodingName]]:
+    """Measure the discs where lens and pose say they are; also return each camera's encoding."""
+    n_views = sum(len(views) for views in solved.dataset.views.values())
+    done = 0
+    measured: dict[str, dict[str, BoardView]] = {}
+    encodings: dict[str, EncodingName] = {}
+    for camera, views in solved.dataset.views.items():
+        measured[camera] = {}
+        poses = dict(zip(views, solved.cameras[camera].cams_from_board, strict=True))
+        for frame, view in views.items():
+            progress("measuring colours", done, n_views)
+            image = recording.read(camera, frame)
+            discs = None
+            if isinstance(image, Image):
+                encodings.setdefault(camera, image.encoding)
+                if image.is_colour:
+                    to_pixels = _projection(solved.cameras[camera].lens, poses[frame])
+                    discs = measure_discs(image, target, to_pixels)
+            measured[camera][frame] = replace(view, discs=discs)
+            done += 1
+    progress("measuring colours", done, n_views)
+    return solved.dataset.with_views(measured), encodings
+
+
+def _projection(lens: BrownConrady, cam_from_board: Pose) -> BoardToPixels:
+    def to_pixels(points_board: FloatArray) -> FloatArray:
+        return lens.project(cam_from_board.apply(points_board))
+
+    return to_pixels
+
+
+def _solve_colour(
+    dataset: Dataset, target: Target, encodings: Mapping[str, EncodingName]
+) -> tuple[dict[str, ColourSolution], list[Finding]]:
+    """Fit every camera whose pictures show the discs in colour."""
+    if not target.markers:
+        return {}, []
+    samples = {camera: collect_samples(views) for camera, views in dataset.views.items()}
+    solutions: dict[str, ColourSolution] = {}
+    findings = list(judge_exposures(dataset, samples))
+    for camera, item in samples.items():
+        why = "its pictures are grey, or every white square is clipped"
+        fitted = why if item is None else fit_colour(item, target)
+        if isinstance(fitted, str):
+            text = f"Camera {camera}: colour was not calibrated, since {fitted}."
+            findings.append(finding("colour_not_calibrated", text, camera=camera))
+        else:
+            solutions[camera] = fitted
+            findings += judge_colour(camera, fitted, encodings[camera], target)
+    return solutions, findings
+
+
+def _camera(
+    camera: str,
+    solved: RigSolution,
+    target: Target,
+    held_out: float | None,
+    colour: ColourSolution | None,
+    encoding: EncodingName,
+) -> Camera:
+    solution = solved.cameras[camera]
+    cov = solution.lens_cov
+    sigmas = None if cov is None else np.sqrt(np.diag(cov))
+    names = solution.lens.NAMES
+    place = solved.graph.cams_from_ref[camera]
+    sigma_rad, sigma_m = _pose_sigmas(place, scale_known=target.square_size_measured)
+    return Camera(
+        size_wh=solved.dataset.sizes_wh[camera],
+        lens=solution.lens,
+        lens_sigma={
+            name: None if sigmas is None else float(sigmas[index])
+            for index, name in enumerate(names)
+        },
+        cam_from_ref=place.pose,
+        sigma_rad=sigma_rad,
+        sigma_m=sigma_m,
+        n_views=len(solution.cams_from_board),
+        n_corners=sum(len(part) for part in solution.residuals_px),
+        rms_px=solution.rms_px,
+        held_out_rms_px=held_out,
+        colour=None if colour is None else _camera_colour(colour, encoding),
+    )
+
+
+def _pose_sigmas(
+    place: UncertainPose, *, scale_known: bool
+) -> tuple[FloatArray | None, FloatArray | None]:
+    if place.cov is None:
+        return None, None
+    variance = np.diag(place.cov).copy()
+    if not scale_known:
+        variance[3:] += (_SCALE_SIGMA * place.pose.trans_m) ** 2
+    sigmas = np.sqrt(variance)
+    return sigmas[:3], sigmas[3:]
+
+
+def _camera_colour(solution: ColourSolution, encoding: EncodingName) -> CameraColour:
+    held_out = solution.held_out_delta_e[np.isfinite(solution.held_out_delta_e)]
+    return CameraColour(
+        model=solution.model,
+        encoding=encoding,
+        white_rgb=solution.white_rgb,
+        delta_e_2000={
+            "fit_mean": float(np.nanmean(solution.fit_delta_e)),
+            "held_out_mean": float(held_out.mean()),
+            "held_out_p95": float(np.quantile(held_out, 0.95)),
+        },
+    )
+
+
+def _evidence(solved: RigSolution) -> Evidence:
+    rows = [
+        (camera, frame, view, solved.boards[frame].residuals_px[camera])
+        for camera, views in solved.dataset.views.items()
+        for frame, view in views.items()
+    ]
+    return Evidence(
+        camera=tuple(camera for camera, _, view, _ in rows for _ in view.corner_ids),
+        frame=tuple(frame for _, frame, view, _ in rows for _ in view.corner_ids),
+        corner=np.concatenate([view.corner_ids for _, _, view, _ in rows]),
+        pixels=np.concatenate([view.corners_px for _, _, view, _ in rows]),
+        residuals_px=np.concatenate([residuals for _, _, _, residuals in rows]),
+        lens_cov={
+            camera: item.lens_cov
+            for camera, item in solved.cameras.items()
+            if item.lens_cov is not None
+        },
+        pose_cov={
+            camera: item.cov
+            for camera, item in solved.graph.cams_from_ref.items()
+            if item.cov is not None
+        },
+        sums=solved.dataset.sums,
+    )

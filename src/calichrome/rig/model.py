@@ -1,0 +1,146 @@
+"""The calibrated rig, as code uses it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calichrome.colorimetry.encoding import EncodingName
+from calichrome.colour.models import ColourModel
+from calichrome.core.arrays import FloatArray
+from calichrome.core.findings import Finding
+from calichrome.core.pose import Pose
+from calichrome.geometry.lenses import BrownConrady
+from calichrome.target import Target
+
+__all__ = ["Camera", "CameraColour", "Evidence", "Pair", "PlacedFrame", "Rig"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraColour:
+    """From the numbers of a camera to the colours of the target.
+
+    Parameters
+    ----------
+    model
+        Linear RGB to XYZ under D65.
+    encoding
+        How the camera's files store light.
+    white_rgb : (3,) float
+        Linear camera value of the target's white squares in the reference light.
+    delta_e_2000
+        fit_mean, held_out_mean, held_out_p95 against the target.
+    """
+
+    model: ColourModel
+    encoding: EncodingName
+    white_rgb: FloatArray
+    delta_e_2000: Mapping[str, float]
+
+    def xyz_from_rgb(self, rgb: FloatArray) -> FloatArray:
+        """XYZ under D65, Y = 1 for the perfect diffuser, of linear RGB (..., 3), 0..1."""
+        return self.model.apply(np.asarray(rgb, dtype=np.float64))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Camera:
+    """One calibrated camera.
+
+    Parameters
+    ----------
+    size_wh
+        Pixels.
+    lens, lens_sigma
+        Parameters and their standard deviations by name; a sigma is None if not estimated.
+    cam_from_ref
+        Where the camera is.
+    sigma_rad, sigma_m : (3,) float or None
+        Standard deviations of its (omega, tau); zero for the reference camera.
+    n_views, n_corners
+        What the lens stands on.
+    rms_px, held_out_rms_px
+        Errors on the frames used, and on frames left out.
+    colour
+        None if colour was not calibrated.
+    """
+
+    size_wh: tuple[int, int]
+    lens: BrownConrady
+    lens_sigma: Mapping[str, float | None]
+    cam_from_ref: Pose
+    sigma_rad: FloatArray | None
+    sigma_m: FloatArray | None
+    n_views: int
+    n_corners: int
+    rms_px: float
+    held_out_rms_px: float | None = None
+    colour: CameraColour | None = None
+
+    def project(self, points_ref: FloatArray) -> FloatArray:
+        """Pixels (N, 2) of points (N, 3) in ref, metres; nan behind the camera."""
+        return self.lens.project(self.cam_from_ref.apply(np.asarray(points_ref)))
+
+    def unproject(self, pixels: FloatArray) -> FloatArray:
+        """Rays (N, 3) in the camera frame with z = 1; nan where the lens has none."""
+        return self.lens.unproject(np.asarray(pixels))
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two cameras that share views."""
+
+    cameras: tuple[str, str]
+    shared_views: int
+    rms_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedFrame:
+    """Where the board was, and which cameras saw it."""
+
+    ref_from_board: Pose
+    cameras: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Evidence:
+    """What the rig was computed from: the arrays of rig.npz, one row per corner or picture.
+
+    Parameters
+    ----------
+    camera, frame : (M,) str
+    corner : (M,) int
+    pixels, residuals_px : (M, 2) float
+        Residuals with one board pose per frame for all cameras, projected minus observed.
+    lens_cov : camera -> (9, 9) float
+    pose_cov : camera -> (6, 6) float
+    sums : (camera, frame) -> SHA-256 of the picture file
+    """
+
+    camera: tuple[str, ...]
+    frame: tuple[str, ...]
+    corner: FloatArray
+    pixels: FloatArray
+    residuals_px: FloatArray
+    lens_cov: Mapping[str, FloatArray]
+    pose_cov: Mapping[str, FloatArray]
+    sums: Mapping[tuple[str, str], str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rig:
+    """Cameras that share one space and one colour."""
+
+    target: Target
+    reference_camera: str
+    cameras: Mapping[str, Camera]
+    pairs: tuple[Pair, ...]
+    frames: Mapping[str, PlacedFrame]
+    findings: tuple[Finding, ...] = ()
+    inter_camera_delta_e_2000: Mapping[str, float] | None = None
+    world_from_ref: Pose = field(default_factory=Pose.identity)
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether there is no critical finding."""
+        return not any(item.severity == "critical" for item in self.findings)
