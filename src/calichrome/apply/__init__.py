@@ -4,6 +4,7 @@ from calichrome.apply.corrector import (
     OUTPUT_SPACES,
     Corrector,
     OutputSpace,
+    SourceMap,
     rectifying_map,
     undistorting_map,
 )
@@ -13,6 +14,7 @@ __all__ = [
     "OUTPUT_SPACES",
     "Corrector",
     "OutputSpace",
+    "SourceMap",
     "before_after_sheet",
     "crop_around",
     "rectified_sheet",

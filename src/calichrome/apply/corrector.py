@@ -14,23 +14,30 @@ from calichrome.geometry.lenses import BrownConrady
 from calichrome.imaging import Image, Pixels
 from calichrome.rig import Camera
 
-__all__ = ["OUTPUT_SPACES", "Corrector", "OutputSpace", "rectifying_map", "undistorting_map"]
+__all__ = [
+    "OUTPUT_SPACES",
+    "Corrector",
+    "OutputSpace",
+    "SourceMap",
+    "rectifying_map",
+    "undistorting_map",
+]
 
 OutputSpace = Literal["srgb", "display-p3", "linear-srgb", "xyz-d65", "none"]
 OUTPUT_SPACES: tuple[OutputSpace, ...] = ("srgb", "display-p3", "linear-srgb", "xyz-d65", "none")
 _ENCODED = {"srgb", "display-p3"}  # both store the sRGB transfer function
 _ENTRIES = 65_536  # of the tables: one for every 16-bit value
-Map = NDArray[np.float32]
+SourceMap = NDArray[np.float32]
 
 
-def undistorting_map(lens: BrownConrady, size_wh: tuple[int, int]) -> Map:
+def undistorting_map(lens: BrownConrady, size_wh: tuple[int, int]) -> SourceMap:
     """Source pixel of every pixel of the distortion-free picture with the same K, (H, W, 2)."""
-    return _map_through(lens, np.linalg.inv(lens.matrix), size_wh)
+    return _map_through(lens, np.asarray(np.linalg.inv(lens.matrix)), size_wh)
 
 
 def rectifying_map(
     lens: BrownConrady, rotation: FloatArray, matrix: FloatArray, size_wh: tuple[int, int]
-) -> Map:
+) -> SourceMap:
     """Source pixel of every pixel of a rectified picture, (H, W, 2).
 
     Parameters
@@ -47,9 +54,11 @@ def rectifying_map(
     return _map_through(lens, rotation.T @ np.linalg.inv(matrix), size_wh)
 
 
-def _map_through(lens: BrownConrady, rays_from_pixels: FloatArray, size_wh: tuple[int, int]) -> Map:
+def _map_through(
+    lens: BrownConrady, rays_from_pixels: FloatArray, size_wh: tuple[int, int]
+) -> SourceMap:
     x, y = np.meshgrid(np.arange(size_wh[0]), np.arange(size_wh[1]))
-    pixels = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
+    pixels = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1).astype(np.float64)
     source = lens.project(pixels @ rays_from_pixels.T).reshape(size_wh[1], size_wh[0], 2)
     # rays behind the camera come from nowhere: outside the picture, so black
     return np.nan_to_num(source, nan=-1e4).clip(-1e4, 1e5).astype(np.float32)
@@ -79,7 +88,7 @@ class Corrector:
     """
 
     def __init__(
-        self, camera: Camera, space: OutputSpace = "srgb", source_map: Map | None = None
+        self, camera: Camera, space: OutputSpace = "srgb", source_map: SourceMap | None = None
     ) -> None:
         if space != "none" and camera.colour is None:
             raise CalichromeError(
@@ -90,7 +99,7 @@ class Corrector:
         self._source_map = source_map
         self._colour = camera.colour
         self._size_wh = camera.size_wh
-        self._linear_table: Map | None = None
+        self._linear_table: SourceMap | None = None
         if camera.colour is not None and space != "none":
             self._linear_table = _linear_table(camera.colour.encoding)
 
@@ -150,12 +159,12 @@ class Corrector:
 def _widen(pixels: Pixels, full_scale: float) -> NDArray[np.uint16]:
     """Stretch integers to 0..65535 of full scale."""
     if pixels.dtype == np.uint8:
-        return pixels.astype(np.uint16) * np.uint16(257)
+        return np.asarray(pixels.astype(np.uint16) * np.uint16(257))
     if full_scale == 65535:
         return pixels.astype(np.uint16, copy=False)
     stretched = np.minimum(pixels / full_scale, 1) * 65535
     return np.rint(stretched).astype(np.uint16)
 
 
-def _linear_table(encoding: EncodingName) -> Map:
+def _linear_table(encoding: EncodingName) -> SourceMap:
     return linearise(np.arange(_ENTRIES) / (_ENTRIES - 1), encoding).astype(np.float32)

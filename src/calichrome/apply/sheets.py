@@ -51,7 +51,7 @@ def before_after_sheet(
     """
     bands = []
     for row, caption in enumerate(rows):
-        tiles = [_tile(column[1 + row]) for column in columns]
+        tiles = [_tile((before, after)[row]) for _, before, after in columns]
         captions = [_caption(column[0], _TILE) for column in columns]
         title = _caption(caption, _width(len(columns)), bold=True)
         bands += [title, _beside(captions), _beside(tiles)]
@@ -59,7 +59,11 @@ def before_after_sheet(
 
 
 def rectified_sheet(
-    first: tuple[str, UInt8Array], second: tuple[str, UInt8Array], *, vertical: bool, n_lines: int = 16
+    first: tuple[str, UInt8Array],
+    second: tuple[str, UInt8Array],
+    *,
+    vertical: bool,
+    n_lines: int = 16,
 ) -> UInt8Array:
     """Put a rectified pair together with lines along which points correspond.
 

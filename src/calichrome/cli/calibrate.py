@@ -1,12 +1,13 @@
 """``calichrome calibrate``."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
+from tyro.conf import Positional
 
-from calichrome.cli.terminal import Command, Flag, Output, Positional, names_from
+from calichrome.cli.terminal import Command, Flag, Output, names_from
 from calichrome.core.files import check_output
 from calichrome.errors import RecordingError
 from calichrome.imaging.sizes import parse_size
@@ -25,7 +26,9 @@ class Calibrate(Command):
     """Folder of pictures: RECORDING/<camera>/<frame>.png, or see --pattern."""
     output: Annotated[Path, Output] = Path("rig.json")
     """Where to write the rig; rig.npz with the evidence is written beside it."""
-    settings: Annotated[CalibrationSettings, tyro.conf.OmitArgPrefixes] = CalibrationSettings()
+    settings: Annotated[CalibrationSettings, tyro.conf.OmitArgPrefixes] = field(
+        default_factory=CalibrationSettings
+    )
     corners: Path | None = None
     """Use these corners (NAME.csv of `detect`) instead of detecting."""
     size: tuple[str, ...] = ()

@@ -4,8 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from tyro.conf import Positional
+
 from calichrome.apply import OutputSpace
-from calichrome.cli.terminal import Command, Flag, Output, Positional
+from calichrome.cli.terminal import Command, Flag, Output
 from calichrome.pipeline.correct import correct
 from calichrome.rig import load_rig
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -50,7 +50,7 @@ class Demo(Command):
             assert done.recording is not None  # noqa: S101 (it was read from a folder)
             save_rig(done.rig, done.evidence, folder / "rig.json")
             truth = read_truth(folder / "recording" / "truth.json")
-            sheet = _sheet(done.rig, done.recording, truth)
+            sheet = _sheet(done.rig, done.recording)
             write_picture(folder / "before-after.png", sheet)
             rectify(
                 done.rig,
@@ -64,15 +64,11 @@ class Demo(Command):
             ["camera", "", "estimated", "truth", "off by sigmas"],
             [row for name in done.rig.cameras for row in _rows(name, done.rig, truth)],
         )
-        lines += ["", *_colour_lines(done.rig, truth)]
+        lines += ["", *_colour_lines(done.rig)]
         shown = "before-after.png, rectified.png and rig.json"
         text = "\n".join([summary(done.rig), "", *lines, "", f"Wrote {shown} in {self.output}/"])
-        self.show(text, _as_json(done.rig))
+        self.show(text, rig_to_json(done.rig))
         return 0 if done.rig.trustworthy else 3
-
-
-def _as_json(rig: Rig) -> dict[str, Any]:
-    return rig_to_json(rig)
 
 
 def _rows(name: str, rig: Rig, truth: Truth) -> Iterator[list[str]]:
@@ -96,15 +92,13 @@ def _true_cam_from_ref(true: CameraTruth, reference: CameraTruth) -> FloatArray:
     return (true.cam_from_world @ reference.cam_from_world.inverse()).trans_m
 
 
-def _row(
-    label: str, parameter: str, value: float, sigma: float | None, wanted: float
-) -> list[str]:
+def _row(label: str, parameter: str, value: float, sigma: float | None, wanted: float) -> list[str]:
     off = "-" if not sigma else f"{(value - wanted) / sigma:+.1f}"
     digits = 2 if not sigma else max(0, 1 - int(np.floor(np.log10(sigma))))
     return [label, parameter, with_sigma(value, sigma), f"{wanted:.{digits}f}", off]
 
 
-def _colour_lines(rig: Rig, truth: Truth) -> Iterator[str]:
+def _colour_lines(rig: Rig) -> Iterator[str]:
     """Yield how well the corrected discs of each camera meet the true colours."""
     between = rig.inter_camera_delta_e_2000
     if between is not None:
@@ -114,17 +108,13 @@ def _colour_lines(rig: Rig, truth: Truth) -> Iterator[str]:
         for name, camera in rig.cameras.items()
         if camera.colour is not None
     )
-    yield f"Colour against the {len(truth.marker_names)} true discs, dE2000: {errors}"
+    yield f"Colour against the {len(rig.target.markers)} discs, dE2000: {errors}"
 
 
-def _sheet(rig: Rig, recording: Recording, truth: Truth) -> UInt8Array:
+def _sheet(rig: Rig, recording: Recording) -> UInt8Array:
     """Show the board in all cameras in one frame, as recorded and corrected."""
     frame_id = next(
-        (
-            frame
-            for frame, placed in rig.frames.items()
-            if len(placed.cameras) == len(rig.cameras)
-        ),
+        (frame for frame, placed in rig.frames.items() if len(placed.cameras) == len(rig.cameras)),
         max(rig.frames, key=lambda frame: len(rig.frames[frame].cameras)),
     )
     columns = []

@@ -4,7 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from calichrome.cli.terminal import Command, Flag, Output, Positional, names_from
+from tyro.conf import Positional
+
+from calichrome.cli.terminal import Command, Flag, Output, names_from
 from calichrome.core.files import check_output
 from calichrome.imaging import MAX_MEGAPIXELS, open_recording
 from calichrome.observations import write_observations
@@ -47,12 +49,8 @@ class Detect(Command):
         )
         target = find_target(recording, self.target, None)
         with self.progress() as progress:
-            detection = detect_recording(
-                recording, target, overlay=self.overlay, progress=progress
-            )
-        write_observations(
-            detection.dataset, detection.rejected, self.output, force=self.force
-        )
+            detection = detect_recording(recording, target, overlay=self.overlay, progress=progress)
+        write_observations(detection.dataset, detection.rejected, self.output, force=self.force)
         views = {camera: len(seen) for camera, seen in detection.dataset.views.items()}
         lines = [recording.reading]
         lines += [
@@ -61,7 +59,9 @@ class Detect(Command):
         ]
         lines += [f"  {camera} {frame}: {why}" for camera, frame, why in detection.rejected[:12]]
         if len(detection.rejected) > 12:
-            lines.append(f"  and {len(detection.rejected) - 12} more in {self.output.stem}.rejected.csv")
+            lines.append(
+                f"  and {len(detection.rejected) - 12} more in {self.output.stem}.rejected.csv"
+            )
         lines.append(f"Wrote {self.output}")
         rejected = [
             {"camera": camera, "frame": frame, "reason": why}

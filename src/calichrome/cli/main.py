@@ -62,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     try:
         command: Command = tyro.cli(
-            _Commands,  # type: ignore[arg-type]
+            _Commands,
             prog="calichrome",
             description="Calibrate camera rigs in geometry and colour from one printed board.",
             args=arguments,

@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from tyro.conf import Positional
 
 from calichrome.apply import OutputSpace
-from calichrome.cli.terminal import Command, Flag, Output, Positional, names_from
+from calichrome.cli.terminal import Command, Flag, Output, names_from
 from calichrome.errors import RecordingError
 from calichrome.pipeline.correct import rectify
 from calichrome.rig import load_rig

@@ -5,7 +5,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from calichrome.cli.terminal import Command, Flag, Output, Positional
+from tyro.conf import Positional
+
+from calichrome.cli.terminal import Command, Flag, Output
 from calichrome.core.files import check_output, writing_file
 from calichrome.core.units import parse_length, parse_lengths
 from calichrome.errors import TargetError
@@ -106,18 +108,25 @@ class TargetMake(Command):
             temporary.write_text(json.dumps(target_to_json(target), indent=1) + "\n")
         nx, ny = target.corners_xy
         lines = [
-            f"Wrote {self.output} and {page_path}: {nx}x{ny} inner corners, {len(target.markers)} "
-            f"discs, white margin {page.white_margin_m * 1e3:.1f} mm",
-            "Print at 100 % on matte paper, glue it to something flat, measure the ruler, and give "
-            "the true size with --square.",
+            (
+                f"Wrote {self.output} and {page_path}: {nx}x{ny} inner corners, "
+                f"{len(target.markers)} discs, white margin {page.white_margin_m * 1e3:.1f} mm"
+            ),
+            (
+                "Print at 100 % on matte paper, glue it to something flat, measure the ruler, and "
+                "give the true size with --square."
+            ),
         ]
         quality = layout_quality(target)
         if quality is not None:
             lines.append(
-                f"Any two 4x3 parts of the board differ in {quality.min_differing} squares or more."
+                f"Any two 4x3 parts of the board differ in {quality.least_differing} squares or "
+                f"more."
             )
-        if page.clipped:
-            lines.append(f"Outside the sRGB gamut, so printed paler: {', '.join(page.clipped)}")
+        if page.clipped_colours:
+            lines.append(
+                f"Outside the sRGB gamut, so printed paler: {', '.join(page.clipped_colours)}"
+            )
         self.show(
             "\n".join(lines),
             {"target": str(self.output), "pdf": str(page_path), "corners_xy": [nx, ny]},
@@ -164,7 +173,9 @@ class TargetMeasure(Command):
         """Read, replace and write."""
         check_output(self.output, force=self.force)
         if self.values is None and self.square is None:
-            raise TargetError("nothing was measured; give --values FILE.csv, --square SIZE, or both")
+            raise TargetError(
+                "nothing was measured; give --values FILE.csv, --square SIZE, or both"
+            )
         target = load_target(self.target)
         said = []
         if self.values is not None:

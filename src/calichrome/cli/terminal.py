@@ -13,9 +13,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from calichrome.pipeline.detect import Progress as ProgressCall
 
-__all__ = ["Command", "Flag", "Output", "Positional", "names_from"]
+__all__ = ["Command", "Flag", "Output", "names_from"]
 
-Positional = tyro.conf.Positional
 Output = tyro.conf.arg(aliases=["-o"])
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 

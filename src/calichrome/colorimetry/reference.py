@@ -40,7 +40,7 @@ def colour_checker_spectra() -> dict[str, FloatArray]:
     """
     spectra = _colour().SDS_COLOURCHECKERS["BabelColor Average"]
     return {
-        # "white 9.5 (.05 D)" is white_95, "dark skin" is dark_skin
+        # the density in brackets goes: white 9.5 (.05 D) becomes white_95
         name.partition(" (")[0].replace(" ", "_").replace(".", ""): _sampled(
             item.wavelengths, item.values
         )[:, 0]

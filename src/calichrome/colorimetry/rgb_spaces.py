@@ -34,9 +34,7 @@ def primaries_to_xyz(primaries_xy: FloatArray, white_xyz: FloatArray) -> FloatAr
 XYZ_FROM_RGB: Mapping[str, FloatArray] = MappingProxyType(
     {
         # IEC 61966-2-1:1999, the primaries of ITU-R BT.709
-        "srgb": frozen(
-            primaries_to_xyz(np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]]), D65)
-        ),
+        "srgb": frozen(primaries_to_xyz(np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]]), D65)),
         # SMPTE EG 432-1 primaries with the white D65
         "display-p3": frozen(
             primaries_to_xyz(np.array([[0.680, 0.320], [0.265, 0.690], [0.150, 0.060]]), D65)

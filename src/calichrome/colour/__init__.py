@@ -1,0 +1,1 @@
+"""Camera colour to target colour, and how sure that is."""

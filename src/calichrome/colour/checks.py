@@ -1,4 +1,4 @@
-"""Is the stated encoding true, and did a camera change its exposure on its own?"""
+"""Whether the stated encoding is true, and whether a camera changed its exposure on its own."""
 
 from collections.abc import Mapping
 from itertools import combinations

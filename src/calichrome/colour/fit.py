@@ -28,7 +28,7 @@ class ColourSolution:
     disc_xyz : (n_markers, 3) float
         The same, corrected.
     fit_delta_e, held_out_delta_e : (n_markers,) float
-        CIEDE2000 against the target; held out: with that disc left out of the fit. nan where unseen.
+        CIEDE2000 against the target; held out: with that disc left out of the fit. nan: unseen.
     white_rgb : (3,) float
         Camera value of the white squares in the reference light.
     n_rejected

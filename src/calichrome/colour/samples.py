@@ -32,6 +32,8 @@ class ColourSamples:
         Level a white square would have at the disc.
     reference_light_rgb : (3,) float
         Median light over all rows: the level at which Y = 1 means the perfect diffuser.
+    n_px : (M,) int
+        Pixels behind each value.
     clipped : (M,) float
         Share of clipped pixels.
     """
@@ -42,6 +44,7 @@ class ColourSamples:
     rgb: FloatArray
     light_rgb: FloatArray
     reference_light_rgb: FloatArray
+    n_px: IntArray
     clipped: FloatArray
 
     @property
@@ -74,6 +77,7 @@ def collect_samples(views: Mapping[str, BoardView]) -> ColourSamples | None:
         rgb=np.concatenate([item.mean_rgb for item in discs]),
         light_rgb=light_rgb,
         reference_light_rgb=np.nanmedian(light_rgb, axis=0),
+        n_px=np.concatenate([item.n_px for item in discs]),
         clipped=np.concatenate([item.clipped for item in discs]),
     )
 
@@ -95,15 +99,18 @@ def disc_means(samples: ColourSamples, n_markers: int) -> tuple[FloatArray, IntA
     n_views = np.zeros(n_markers, dtype=np.int64)
     n_rejected = 0
     for marker in range(n_markers):
-        rows = even[usable & (samples.marker_ids == marker)]
-        if len(rows) == 0:
+        of_disc = usable & (samples.marker_ids == marker)
+        if not of_disc.any():
             continue
+        rows, n_px = even[of_disc], samples.n_px[of_disc]
         off = np.abs(rows - np.median(rows, axis=0))
         sigma = 1.4826 * np.median(off, axis=0)
         floor = _FLOOR * samples.reference_light_rgb
         kept = (off <= _OUTLIER * np.maximum(sigma, floor)).all(axis=1)
         n_rejected += int((~kept).sum())
         if kept.any():
-            mean_rgb[marker] = rows[kept].mean(axis=0)
+            # pixels count alike: noise falls with their number, and small discs are nearer to
+            # their blurred edge
+            mean_rgb[marker] = np.average(rows[kept], axis=0, weights=n_px[kept])
             n_views[marker] = kept.sum()
     return mean_rgb, n_views, n_rejected

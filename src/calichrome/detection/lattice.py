@@ -22,9 +22,7 @@ class OrientedGrid:
     half_turn_ambiguous: bool
 
 
-def orient_grid(
-    grid: FloatArray, grey: NDArray[np.float32], target: Target
-) -> OrientedGrid | str:
+def orient_grid(grid: FloatArray, grey: NDArray[np.float32], target: Target) -> OrientedGrid | str:
     """Order a grid of corners as the target numbers them.
 
     Only orders that keep the handedness are considered: a camera sees the printed side, so x to y

@@ -43,7 +43,14 @@ def draw_overlay(image: Image, target: Target, found: BoardView | NotFound) -> U
         _circle(canvas, centre, 4 * size, colour, 1)
         place = (round(centre[0] + 5 * size), round(centre[1] - 5 * size))
         cv2.putText(
-            canvas, str(corner), place, cv2.FONT_HERSHEY_SIMPLEX, 0.35 * size, colour, 1, cv2.LINE_AA
+            canvas,
+            str(corner),
+            place,
+            cv2.FONT_HERSHEY_SIMPLEX,
+            0.35 * size,
+            colour,
+            1,
+            cv2.LINE_AA,
         )
     return canvas
 

@@ -1,0 +1,1 @@
+"""Lens, pairs and rig from corners; nothing here knows pictures or colour."""

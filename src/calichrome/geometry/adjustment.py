@@ -18,8 +18,17 @@ from calichrome.core.least_squares import (
 from calichrome.core.pose import Pose, cross_matrix
 from calichrome.geometry.lenses import BrownConrady
 
-__all__ = ["Adjustment", "Free", "PlanarView", "Scene", "Sightings", "adjust", "rms_px",
-           "residuals_of", "whitened_residuals"]
+__all__ = [
+    "Adjustment",
+    "Free",
+    "PlanarView",
+    "Scene",
+    "Sightings",
+    "adjust",
+    "residuals_of",
+    "rms_px",
+    "whitened_residuals",
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

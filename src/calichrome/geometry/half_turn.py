@@ -66,9 +66,7 @@ def resolve_half_turns(
         for other in others:
             frames = _shared(cameras[other], own)
             if any(frame not in decided for frame in frames):
-                decided |= _agree(
-                    cameras[other], turns[other], own, decided, frames, symmetries
-                )
+                decided |= _agree(cameras[other], turns[other], own, decided, frames, symmetries)
         doubtful |= shared - decided.keys()
         # which way up a frame was is free for the first camera that sees it
         turns[camera] = dict.fromkeys(own.views, 0) | decided
@@ -110,23 +108,19 @@ def _agree(
     """Return the frames that one motion between the two cameras decides, and how."""
     corners = known.views[frames[0]].points_board
     board_turns = [_board_turn(corners, permutation) for permutation in symmetries]
-    known_poses = {
-        frame: known.poses[frame] @ board_turns[known_turns[frame]] for frame in frames
-    }
+    known_poses = {frame: known.poses[frame] @ board_turns[known_turns[frame]] for frame in frames}
 
     def errors_px(new_from_known: Pose) -> FloatArray:
         rows = []
         for frame in frames:
-            predicted = new.lens.project(
-                (new_from_known @ known_poses[frame]).apply(corners)
-            )
+            predicted = new.lens.project((new_from_known @ known_poses[frame]).apply(corners))
             pixels = new.views[frame].pixels
             rows.append([rms_px(predicted - pixels[permutation]) for permutation in symmetries])
         errors = np.nan_to_num(np.array(rows), nan=np.inf)
         for row, frame in enumerate(frames):
             if frame in decided:
                 errors[row, np.arange(len(symmetries)) != decided[frame]] = np.inf
-        return errors
+        return np.asarray(errors)
 
     seeds = frames[:: -(-len(frames) // _MAX_SEEDS)]
     readings = [

@@ -55,7 +55,9 @@ def held_out_rms_px(
             return dict.fromkeys(rig.cameras)
         views = {
             camera: {
-                frame: planar_view(view, target) for frame, view in seen.items() if frame in left_out
+                frame: planar_view(view, target)
+                for frame, view in seen.items()
+                if frame in left_out
             }
             for camera, seen in rig.dataset.views.items()
         }

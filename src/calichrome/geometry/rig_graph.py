@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -121,7 +122,7 @@ def connect_cameras(
             path.append(int(predecessors[root, path[-1]]))
         names = tuple(cameras[position] for position in reversed(path))
         motion = UncertainPose(Pose.identity(), np.zeros((6, 6)))
-        for previous, following in zip(names, names[1:], strict=False):
+        for previous, following in pairwise(names):
             motion = _step(pairs, previous, following) @ motion
         cams_from_ref[camera], paths[camera] = motion, names
     return RigGraph(reference=cameras[root], cams_from_ref=cams_from_ref, paths=paths)

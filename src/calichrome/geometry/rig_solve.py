@@ -197,14 +197,14 @@ def _solve_cameras(
     return views, cameras
 
 
-def _poses(
-    views: Views, cameras: Mapping[str, CameraSolution], camera: str
-) -> dict[str, Pose]:
+def _poses(views: Views, cameras: Mapping[str, CameraSolution], camera: str) -> dict[str, Pose]:
     return dict(zip(views[camera], cameras[camera].cams_from_board, strict=True))
 
 
 def _any_ambiguous(dataset: Dataset) -> bool:
-    return any(view.half_turn_ambiguous for seen in dataset.views.values() for view in seen.values())
+    return any(
+        view.half_turn_ambiguous for seen in dataset.views.values() for view in seen.values()
+    )
 
 
 def _renumbered(
@@ -216,7 +216,9 @@ def _renumbered(
             frame: replace(
                 view,
                 corners_px=view.corners_px[symmetries[turns[camera][frame]]],
-                cov_px=None if view.cov_px is None else view.cov_px[symmetries[turns[camera][frame]]],
+                cov_px=None
+                if view.cov_px is None
+                else view.cov_px[symmetries[turns[camera][frame]]],
                 half_turn_ambiguous=False,
             )
             for frame, view in seen.items()

@@ -20,7 +20,7 @@ MAX_MEGAPIXELS = 200.0
 _MAX_BYTES = 4_000_000_000
 
 
-def read_image(
+def read_image(  # noqa: PLR0911 (every way in which a file can be bad is an answer)
     path: Path,
     *,
     encoding: EncodingName | None = None,
@@ -50,7 +50,9 @@ def read_image(
     header = read_header(content, max_megapixels)
     if isinstance(header, Unreadable):
         return header
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what OpenCV would print about bad files, we say in our own words
+    cv2.utils.logging.setLogLevel(
+        cv2.utils.logging.LOG_LEVEL_SILENT
+    )  # what OpenCV would print about bad files, we say in our own words
     try:
         decoded = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:

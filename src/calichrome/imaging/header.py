@@ -65,7 +65,13 @@ def read_header(content: bytes, max_megapixels: float) -> Header | Unreadable:
             exif = picture.getexif()
     except UnidentifiedImageError:
         return Unreadable("is not a PNG, JPEG or TIFF picture")
-    except (OSError, ValueError, SyntaxError, EOFError, PillowImage.DecompressionBombError) as error:
+    except (
+        OSError,
+        ValueError,
+        SyntaxError,
+        EOFError,
+        PillowImage.DecompressionBombError,
+    ) as error:
         return Unreadable(f"its header is damaged ({error})")
     details = exif.get_ifd(ExifTags.IFD.Exif)
     return Header(
@@ -73,7 +79,9 @@ def read_header(content: bytes, max_megapixels: float) -> Header | Unreadable:
         file_format=str(picture.format),
         rotation_tag=int(exif.get(ExifTags.Base.Orientation, 1)),
         exposure={
-            name: float(details[tag]) for tag, name in _EXPOSURE_TAGS.items() if _is_number(details.get(tag))
+            name: float(details[tag])
+            for tag, name in _EXPOSURE_TAGS.items()
+            if _is_number(details.get(tag))
         },
     )
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,8 @@ from calichrome.core.arrays import FloatArray
 
 __all__ = ["Image", "Pixels"]
 
-Pixels = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]
+Pixels = NDArray[Any]
+"""uint8, uint16 or float32; the type of an array cannot say "one of these" usefully."""
 
 _NEARLY_FULL = 0.995  # of full scale: 254 of 255, where 8-bit files begin to clip
 
@@ -70,10 +72,10 @@ class Image:
     def is_clipped(self, window: tuple[slice, slice]) -> NDArray[np.bool_]:
         """Where any channel of a window is at full scale, shape (h, w)."""
         clipped = self.pixels[window] >= _NEARLY_FULL * self.full_scale
-        return clipped if clipped.ndim == 2 else clipped.any(axis=2)
+        return np.asarray(clipped if clipped.ndim == 2 else clipped.any(axis=2))
 
     def grey(self) -> NDArray[np.float32]:
-        """A grey picture for finding boards: sRGB-like tones, full contrast, 0..255, (H, W).
+        """Return a grey picture for finding boards: sRGB-like tones, 0..255, shape (H, W).
 
         Linear pictures are encoded first: in linear tones a dark board would hardly show.
         """

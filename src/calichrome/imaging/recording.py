@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from calichrome.colorimetry.encoding import EncodingName
 from calichrome.errors import RecordingError
 from calichrome.imaging.files import MAX_MEGAPIXELS, PICTURE_SUFFIXES, read_image
 from calichrome.imaging.header import Unreadable
@@ -55,18 +54,15 @@ class Recording:
         return sum(len(frames) for frames in self.files.values())
 
     def entry(self, camera_id: str) -> CameraEntry:
-        """What recording.toml says of a camera."""
+        """Return what recording.toml says of a camera."""
         return self.settings.camera(camera_id)
 
     def read(self, camera_id: str, frame_id: str) -> Image | Unreadable:
         """Read one picture with the encoding stated for its camera."""
         entry = self.entry(camera_id)
-        stated: EncodingName | None = (
-            None if entry.encoding in (None, "unknown") else entry.encoding
-        )
         return read_image(
             self.files[camera_id][frame_id],
-            encoding=stated,
+            encoding=None if entry.encoding == "unknown" else entry.encoding,
             bits=entry.bits,
             max_megapixels=self.max_megapixels,
         )
@@ -251,9 +247,7 @@ def _most_shared(files: Files) -> int:
 
 def _without_background(files: Files) -> Files:
     kept = {
-        camera: {
-            frame: path for frame, path in frames.items() if not frame.startswith(_BACKGROUND)
-        }
+        camera: {frame: path for frame, path in frames.items() if not frame.startswith(_BACKGROUND)}
         for camera, frames in files.items()
         if camera != _BACKGROUND
     }

@@ -39,7 +39,7 @@ class RecordingFile(_Closed):
     cameras: dict[str, CameraEntry] = Field(default_factory=dict)
 
     def camera(self, camera_id: str) -> CameraEntry:
-        """What holds for one camera: its own entry over the general one."""
+        """Return what holds for one camera: its own entry over the general one."""
         own = self.cameras.get(camera_id, CameraEntry())
         return CameraEntry(
             encoding=own.encoding or self.encoding,

@@ -1,4 +1,4 @@
-"""Observations as CSV files: NAME.csv, NAME.markers.csv, NAME.rejected.csv (docs/file-format.md)."""
+"""Observations as NAME.csv, NAME.markers.csv and NAME.rejected.csv (docs/file-format.md)."""
 
 import csv
 import math
@@ -17,9 +17,10 @@ from calichrome.observations.dataset import Dataset
 __all__ = ["read_corners", "write_observations"]
 
 _CORNERS = ("camera", "frame", "corner", "x", "y", "sxx", "sxy", "syy")
-_MARKERS = tuple(
-    "camera,frame,marker,x,y,r,g,b,rr,rg,rb,gg,gb,bb,n_px,clipped,"
-    "white_r,white_g,white_b,black_r,black_g,black_b".split(",")
+_MARKERS = (
+    *("camera", "frame", "marker", "x", "y", "r", "g", "b"),
+    *("rr", "rg", "rb", "gg", "gb", "bb", "n_px", "clipped"),
+    *("white_r", "white_g", "white_b", "black_r", "black_g", "black_b"),
 )
 _MAX_BYTES = 1_000_000_000
 Row = Mapping[str, str]

@@ -19,7 +19,14 @@ from calichrome.geometry.held_out import held_out_rms_px
 from calichrome.geometry.lenses import BrownConrady
 from calichrome.geometry.rig_graph import UncertainPose
 from calichrome.geometry.rig_solve import RigSolution, solve_rig_pairwise
-from calichrome.imaging import MAX_MEGAPIXELS, Image, Recording, Unreadable, open_recording, read_size
+from calichrome.imaging import (
+    MAX_MEGAPIXELS,
+    Image,
+    Recording,
+    Unreadable,
+    open_recording,
+    read_size,
+)
 from calichrome.observations import BoardView, Dataset, read_corners
 from calichrome.pipeline.detect import (
     Detection,
@@ -102,9 +109,7 @@ def calibrate(
     return run(Path(recording), settings or CalibrationSettings(), progress=progress).rig
 
 
-def run(
-    folder: Path, settings: CalibrationSettings, *, progress: Progress = silent
-) -> Calibration:
+def run(folder: Path, settings: CalibrationSettings, *, progress: Progress = silent) -> Calibration:
     """Calibrate a recording, and keep the evidence."""
     recording = open_recording(
         folder,
@@ -206,7 +211,9 @@ def _calibrate(
     findings += colour_findings
 
     cameras = {
-        camera: _camera(camera, solved, target, held_out[camera], colours.get(camera), encodings[camera])
+        camera: _camera(
+            camera, solved, target, held_out[camera], colours.get(camera), encodings[camera]
+        )
         for camera in solved.cameras
     }
     differences = between_cameras(colours)

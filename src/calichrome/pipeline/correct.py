@@ -9,11 +9,12 @@ import numpy as np
 from calichrome.apply import (
     Corrector,
     OutputSpace,
+    SourceMap,
     rectified_sheet,
     rectifying_map,
     undistorting_map,
 )
-from calichrome.core.files import refuse_existing, writing_file, writing_folder
+from calichrome.core.files import refuse_existing, writing_folder
 from calichrome.errors import CalichromeError, RecordingError
 from calichrome.geometry.rectification import Rectification, rectify_pair
 from calichrome.imaging import (
@@ -165,7 +166,9 @@ def rectify(
     return rectification
 
 
-def _named(name: str, camera: Camera, space: OutputSpace, source_map: object) -> Corrector:
+def _named(
+    name: str, camera: Camera, space: OutputSpace, source_map: SourceMap | None
+) -> Corrector:
     try:
         return Corrector(camera, space, source_map)
     except CalichromeError as error:
@@ -187,9 +190,7 @@ def _read(camera: Camera, path: Path) -> Image:
     return image
 
 
-def _pictures(
-    rig: Rig, source: Path, camera: str | None, pattern: str | None
-) -> Iterator[Picture]:
+def _pictures(rig: Rig, source: Path, camera: str | None, pattern: str | None) -> Iterator[Picture]:
     if camera is not None and camera not in rig.cameras:
         raise RecordingError(f"the rig has no camera {camera}; it has {', '.join(rig.cameras)}")
     if source.is_file():

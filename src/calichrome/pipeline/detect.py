@@ -163,7 +163,7 @@ def require_boards(detection: Detection, recording: Recording, target: Target) -
                 f"corners, the target has {wanted}; correct --target"
             )
         reasons = Counter(reason for cam, _, reason in detection.rejected if cam == camera)
-        remedy = f"leave it out with --cameras, or record it again"
+        remedy = "leave it out with --cameras, or record it again"
         if len(detection.dataset.views) == 1:
             remedy = "look at the pictures, and check --target"
         raise DetectionError(

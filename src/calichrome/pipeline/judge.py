@@ -44,8 +44,8 @@ def judge_target(target: Target) -> Iterator[Finding]:
     if not target.square_size_measured:
         yield finding(
             "scale_unverified",
-            f"The square size of {target.square_m[0] * 1e3:g} mm is nominal: 0.5 % was added to the "
-            f"± of every length. Measure the printed ruler and give --square.",
+            f"The square size of {target.square_m[0] * 1e3:g} mm is nominal: 0.5 % was added to "
+            f"the ± of every length. Measure the printed ruler and give --square.",
         )
     if target.markers and not target.colours_measured:
         yield finding(
@@ -68,8 +68,10 @@ def judge_geometry(rig: RigSolution, target: Target) -> Iterator[Finding]:
         sigma = focal_sigma(solution)
         costs = "unknown" if sigma is None else f"{sigma:.2g} px"
         if n_views < _FEW_VIEWS:
-            expected = "" if sigma is None else (
-                f" (about {sigma * math.sqrt(n_views / 15):.2g} px with 15 views)"
+            expected = (
+                ""
+                if sigma is None
+                else (f" (about {sigma * math.sqrt(n_views / 15):.2g} px with 15 views)")
             )
             yield finding(
                 "few_views",
@@ -78,13 +80,15 @@ def judge_geometry(rig: RigSolution, target: Target) -> Iterator[Finding]:
                 camera=camera, n_views=n_views, sigma_fx_px=sigma,
             )  # fmt: skip
         if target.n_corners < _SMALL_BOARD:
-            expected = "" if sigma is None else (
-                f" (about {sigma * math.sqrt(target.n_corners / 88):.2g} px with 11x8)"
+            expected = (
+                ""
+                if sigma is None
+                else (f" (about {sigma * math.sqrt(target.n_corners / 88):.2g} px with 11x8)")
             )
             yield finding(
                 "small_board",
-                f"Camera {camera}: the board has {target.n_corners} inner corners; the focal length "
-                f"is known to ± {costs}{expected}.",
+                f"Camera {camera}: the board has {target.n_corners} inner corners; the focal "
+                f"length is known to ± {costs}{expected}.",
                 camera=camera, n_corners=target.n_corners, sigma_fx_px=sigma,
             )  # fmt: skip
         if sigma is None or sigma > _WEAK_FOCAL * solution.lens.fx:
@@ -99,14 +103,15 @@ def judge_geometry(rig: RigSolution, target: Target) -> Iterator[Finding]:
         if pair.n_shared > 1 and pair.rms_px > _UNSYNCHRONISED * own:
             yield finding(
                 "unsynchronised",
-                f"Cameras {a} and {b}: {pair.rms_px:.2f} px together, {own:.2f} px alone; the board "
-                f"moved between their pictures, or frames are mixed up. Hold it still for each shot.",
+                f"Cameras {a} and {b}: {pair.rms_px:.2f} px together, {own:.2f} px alone; the "
+                f"board moved between their pictures, or frames are mixed up. Hold it still for "
+                f"each shot.",
                 cameras=[a, b], rms_px=pair.rms_px, own_rms_px=own,
             )  # fmt: skip
 
 
 def focal_sigma(solution: CameraSolution) -> float | None:
-    """Standard deviation of fx, pixels; None if the views leave it open."""
+    """Return the standard deviation of fx, pixels; None if the views leave it open."""
     return None if solution.lens_cov is None else float(np.sqrt(solution.lens_cov[0, 0]))
 
 
@@ -174,7 +179,7 @@ def judge_colour(
     if solution.n_clipped:
         yield finding(
             "clipped_discs",
-            f"Camera {camera}: {solution.n_clipped} disc readings hold clipped pixels and were left "
-            f"out. Shorten the exposure until no disc is clipped.",
+            f"Camera {camera}: {solution.n_clipped} disc readings hold clipped pixels and were "
+            f"left out. Shorten the exposure until no disc is clipped.",
             camera=camera, n_clipped=solution.n_clipped,
         )  # fmt: skip

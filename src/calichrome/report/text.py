@@ -51,7 +51,17 @@ def _lines(rig: Rig) -> Iterator[str]:
         )
     yield ""
     yield from table(
-        ["camera", "size", "views", "held-out px", "RMS px", "fx px", "fy px", "dE2000", "from ref mm"],
+        [
+            "camera",
+            "size",
+            "views",
+            "held-out px",
+            "RMS px",
+            "fx px",
+            "fy px",
+            "dE2000",
+            "from ref mm",
+        ],
         [_camera_row(name, camera, rig) for name, camera in rig.cameras.items()],
     )
     if any(camera.colour for camera in rig.cameras.values()):

@@ -191,9 +191,7 @@ def rig_to_json(rig: Rig) -> dict[str, Any]:
             for p in rig.pairs
         ],
         "inter_camera_delta_e_2000": (
-            None
-            if rig.inter_camera_delta_e_2000 is None
-            else dict(rig.inter_camera_delta_e_2000)
+            None if rig.inter_camera_delta_e_2000 is None else dict(rig.inter_camera_delta_e_2000)
         ),
         "frames": {
             name: {

@@ -22,6 +22,8 @@ __all__ = ["Bounds", "PlanePatch"]
 Bounds = tuple[float, float, float, float]
 """u0, u1, v0, v1 of a rectangle of the plane, metres."""
 
+_FAR_M = 1e6
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanePatch:
@@ -51,7 +53,11 @@ class PlanePatch:
         cls, rays_cam: FloatArray, cam_from_plane: Pose, padding: int, psf_sigma_px: float
     ) -> "PlanePatch":
         """Return the plane in all of a picture, from its rays (H + 2 padding, W + 2 padding, 3)."""
-        u, v = plane_coordinates(rays_cam, cam_from_plane)
+        u, v = (
+            # A plane that recedes beyond its horizon covers nothing there: put it far away.
+            np.nan_to_num(values, nan=_FAR_M)
+            for values in plane_coordinates(rays_cam, cam_from_plane)
+        )
         return cls((0, 0), padding, u, v, psf_sigma_px)
 
     @property

@@ -35,6 +35,8 @@ __all__ = ["SENSORS", "demo_scene", "random_scene"]
 SENSORS = ("Nikon 5100 (NPL)", "Sigma SDMerill (NPL)")
 """Sensors with measured sensitivities in colour-science, in the order that rigs use them."""
 
+_STACKED = "Sigma SDMerill (NPL)"  # measures all three colours in each pixel: it has no mosaic
+
 _FOCAL_SHARE = 0.88  # focal length over picture width: about 59 degrees across
 _BOARD_SHARE = 0.42  # of the picture's width, at the middle of the workspace
 _MIN_SQUARE_PX = 21.0  # there; nearer to the least size hardly a tilted board would do
@@ -75,7 +77,7 @@ def demo_scene(target: Target, seed: int = 0, *, n_frames: int = 12) -> Scene:
         If the board cannot be seen well enough.
     """
     nikon = SceneSensor(sensitivity=SENSORS[0])
-    sigma = SceneSensor(sensitivity=SENSORS[1], full_well_e=11_000, read_noise_e=8)
+    sigma = SceneSensor(sensitivity=_STACKED, mosaic=False)
     sizes = {nikon: (640, 480), sigma: (720, 540)}
     mounts = [
         _Mount(
@@ -107,7 +109,7 @@ def demo_scene(target: Target, seed: int = 0, *, n_frames: int = 12) -> Scene:
     return _scene(target, [*mounts, single], n_frames, seed)
 
 
-def random_scene(  # noqa: PLR0913 - the options of a command; one settings type would rename them
+def random_scene(
     target: Target,
     n_cameras: int = 2,
     n_frames: int = 12,
@@ -132,7 +134,7 @@ def random_scene(  # noqa: PLR0913 - the options of a command; one settings type
         Standard deviation of shot and read noise, as a multiple of a good small camera's
         (14000 electrons full well, 6 electrons read noise); 0 for none.
     mosaic
-        False measures all three colours in each pixel.
+        False measures all three colours in each pixel; a stacked sensor always does.
     palette_error_lab_sd
         Standard deviation of the printed colours about the target's, per Lab axis.
 
@@ -165,6 +167,7 @@ def random_scene(  # noqa: PLR0913 - the options of a command; one settings type
 
 
 def _sensor(sensitivity: str, noise: float, *, mosaic: bool) -> SceneSensor:
+    mosaic = mosaic and sensitivity != _STACKED
     if noise < 0:
         raise SceneError(f"noise={noise}: must be 0 (none) or more")
     standard = SceneSensor(sensitivity=sensitivity)

@@ -157,7 +157,7 @@ class Target:
     def black_squares(self) -> BoolArray:
         """Which squares are black, shape (squares_y, squares_x), indexed [iy, ix]."""
         ix, iy = np.meshgrid(np.arange(self.squares[0]), np.arange(self.squares[1]))
-        return ((ix + iy) % 2 == 0) == (self.top_left == "black")
+        return np.asarray(((ix + iy) % 2 == 0) == (self.top_left == "black"))
 
     @property
     def has_unique_orientation(self) -> bool:

@@ -148,7 +148,7 @@ def write_pdf(
         If the file cannot be written.
     """
     paper_wh = parse_paper(paper) if isinstance(paper, str) else paper
-    if not (0 < min(paper_wh) and max(paper_wh) <= _LARGEST_PAGE_M):
+    if not (min(paper_wh) > 0 and max(paper_wh) <= _LARGEST_PAGE_M):
         raise TargetError(
             f"paper of {paper_wh[0]:g} x {paper_wh[1]:g} m: a PDF page may be up to "
             f"{_LARGEST_PAGE_M:.2f} m long; use a smaller one"

@@ -21,7 +21,7 @@ from calichrome.target.board import Marker, Paper, Target, chessboard
 
 __all__ = ["load_target", "parse_target", "target_from_json", "target_to_json", "with_square_size"]
 
-FORMAT = "calichrome.target"
+FORMAT: Literal["calichrome.target"] = "calichrome.target"
 FORMAT_VERSION = 1
 _MAX_BYTES = 10_000_000
 Triple = tuple[float, float, float]
@@ -40,8 +40,8 @@ class _MarkerFile(_Strict):
 
 
 class _PaperFile(_Strict):
-    white_XYZ_D65: Triple | None = None
-    black_XYZ_D65: Triple | None = None
+    white_XYZ_D65: Triple | None = None  # noqa: N815 (the key in the file)
+    black_XYZ_D65: Triple | None = None  # noqa: N815
 
 
 class _TargetFile(_Strict):

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 from scipy.special import erf
 
 from calichrome.core.arrays import FloatArray
@@ -207,3 +208,17 @@ def test_blur_of_a_rendered_edge_is_the_cameras(
     assert fit.x[1] == pytest.approx(expected, rel=0.02)
     # The lens bows the line by less than 0.02 px between two corners.
     assert abs(fit.x[0]) < 0.02
+
+
+def test_a_board_whose_horizon_is_in_the_picture_renders_finite(clean_pair: Scene) -> None:
+    frame_id = next(iter(clean_pair.world_from_board))
+    camera = clean_pair.cameras[0]
+    # 65 degrees of tilt, near: the plane's horizon crosses the box around the board
+    tilt = Rotation.from_euler("y", 65, degrees=True).as_matrix()
+    middle = clean_pair.target.corners_board.mean(axis=0)
+    near = Pose(tilt, np.array([0.0, 0.0, 0.35]) - tilt @ middle)
+    scene = replace(
+        clean_pair,
+        world_from_board={frame_id: camera.cam_from_world.inverse() @ near},
+    )
+    assert np.isfinite(Renderer(scene).electrons(camera.camera_id, frame_id)).all()

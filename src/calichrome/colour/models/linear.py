@@ -56,4 +56,4 @@ class Linear:
         xyz : (N, 3) float, Y = 1 for the perfect diffuser
         """
         solution, *_ = np.linalg.lstsq(rgb_linear, xyz, rcond=None)
-        return cls(solution.T)
+        return cls(np.asarray(solution.T, dtype=np.float64))

@@ -148,7 +148,7 @@ class BrownConrady:
         )
 
     def _d_distort(self, plane: FloatArray) -> FloatArray:
-        """Derivative of the distorted by the ideal point, (..., 2, 2)."""
+        """Differentiate the distorted by the ideal point, (..., 2, 2)."""
         x, y = plane[..., 0], plane[..., 1]
         r2 = x * x + y * y
         radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
