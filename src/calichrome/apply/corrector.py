@@ -26,6 +26,7 @@ __all__ = [
 OutputSpace = Literal["srgb", "display-p3", "linear-srgb", "xyz-d65", "none"]
 OUTPUT_SPACES: tuple[OutputSpace, ...] = ("srgb", "display-p3", "linear-srgb", "xyz-d65", "none")
 _ENCODED = {"srgb", "display-p3"}  # both store the sRGB transfer function
+_NOWHERE_PX = -1e4
 _ENTRIES = 65_536  # of the tables: one for every 16-bit value
 SourceMap = NDArray[np.float32]
 
@@ -59,9 +60,10 @@ def _map_through(
 ) -> SourceMap:
     x, y = np.meshgrid(np.arange(size_wh[0]), np.arange(size_wh[1]))
     pixels = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1).astype(np.float64)
-    source = lens.project(pixels @ rays_from_pixels.T).reshape(size_wh[1], size_wh[0], 2)
-    # rays behind the camera come from nowhere: outside the picture, so black
-    return np.nan_to_num(source, nan=-1e4).clip(-1e4, 1e5).astype(np.float32)
+    rays = pixels @ rays_from_pixels.T
+    # what the camera cannot see comes from nowhere: outside the picture, so black
+    source = np.where(lens.sees(rays)[:, None], lens.project(rays), _NOWHERE_PX)
+    return source.reshape(size_wh[1], size_wh[0], 2).clip(_NOWHERE_PX, 1e5).astype(np.float32)
 
 
 class Corrector:
@@ -161,7 +163,7 @@ def _widen(pixels: Pixels, full_scale: float) -> NDArray[np.uint16]:
     if pixels.dtype == np.uint8:
         return np.asarray(pixels.astype(np.uint16) * np.uint16(257))
     if full_scale == 65535:
-        return pixels.astype(np.uint16, copy=False)
+        return np.asarray(pixels, dtype=np.uint16)
     stretched = np.minimum(pixels / full_scale, 1) * 65535
     return np.rint(stretched).astype(np.uint16)
 

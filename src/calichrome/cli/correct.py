@@ -50,7 +50,7 @@ class Correct(Command):
                 progress=progress,
             )
         self.show(
-            f"Wrote {len(written)} pictures to {self.output}",
+            f"Wrote {len(written)} picture{'' if len(written) == 1 else 's'} to {self.output}",
             {"written": [str(path) for path in written]},
         )
         return 0

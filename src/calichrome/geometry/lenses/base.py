@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import ClassVar, Protocol, Self
 
-from calichrome.core.arrays import FloatArray
+from calichrome.core.arrays import BoolArray, FloatArray
 
 __all__ = ["Lens"]
 
@@ -39,6 +39,10 @@ class Lens(Protocol):
         self, points_cam: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return pixels (N, 2), d_pixels_d_parameters (N, 2, P), d_pixels_d_points (N, 2, 3)."""
+        ...
+
+    def sees(self, points_cam: FloatArray) -> BoolArray:
+        """Tell which points (N, 3) have a pixel of their own, shape (N,)."""
         ...
 
     def unproject(self, pixels: FloatArray) -> FloatArray:

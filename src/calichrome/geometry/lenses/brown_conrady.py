@@ -5,7 +5,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from calichrome.core.arrays import FloatArray
+from calichrome.core.arrays import BoolArray, FloatArray
 
 __all__ = ["BrownConrady"]
 
@@ -124,7 +124,15 @@ class BrownConrady:
         rays = np.concatenate([plane, np.ones((*plane.shape[:-1], 1))], axis=-1)
         return np.where((converged & self._is_monotonic(plane))[..., None], rays, np.nan)
 
-    def _is_monotonic(self, plane: FloatArray) -> FloatArray:
+    def sees(self, points_cam: FloatArray) -> BoolArray:
+        """Tell which points (N, 3) lie before the camera and short of the fold, shape (N,).
+
+        `project` gives points beyond the fold a place in the picture that belongs to others.
+        """
+        depth = np.where(points_cam[..., 2] > 0, points_cam[..., 2], np.nan)
+        return self._is_monotonic(points_cam[..., :2] / depth[..., None])
+
+    def _is_monotonic(self, plane: FloatArray) -> BoolArray:
         """Whether the radial curve still rises everywhere from the axis out to `plane`.
 
         Beyond the first turning point of r g(r) a pixel has two rays, and the far one is wrong.
