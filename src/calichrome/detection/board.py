@@ -4,7 +4,7 @@ import numpy as np
 
 from calichrome.detection.corners import corner_spacing, find_corner_grid, refine_corners
 from calichrome.detection.discs import local_homographies, measure_discs
-from calichrome.detection.lattice import orient_grid
+from calichrome.detection.lattice import goes_on, is_regular, orient_grid
 from calichrome.imaging import Image
 from calichrome.observations import BoardView, NotFound
 from calichrome.target import Target
@@ -43,6 +43,13 @@ def detect_board(image: Image, target: Target) -> BoardView | NotFound:
         return NotFound(
             f"squares of {corner_spacing(grid).min():.0f} px are too small to measure; bring the "
             f"board nearer"
+        )
+    if not is_regular(grid):
+        return NotFound(f"what looks like {nx}x{ny} corners is no even grid; is it another board?")
+    if goes_on(grid, grey):
+        return NotFound(
+            f"the board goes on beyond {nx}x{ny} inner corners; count them again and correct "
+            f"--target"
         )
     oriented = orient_grid(refine_corners(grey, grid), grey, target)
     if isinstance(oriented, str):

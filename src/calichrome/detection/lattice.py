@@ -9,9 +9,21 @@ from calichrome.core.arrays import FloatArray
 from calichrome.core.homography import homographies_of_cells
 from calichrome.target import Target
 
-__all__ = ["OrientedGrid", "orient_grid"]
+__all__ = ["OrientedGrid", "goes_on", "is_regular", "orient_grid"]
 
 _MIN_CONTRAST = 5.0  # of 255 levels: below, "black" and "white" squares are noise
+
+_ALTERNATING = 0.9
+"""Share of neighbouring squares that must differ as on a chessboard; the rest may be hidden."""
+
+_BEND = 0.35
+"""Second difference of neighbouring corners over their spacing, at most. A board tilted by 60
+degrees and as near as it is wide changes its spacing by 0.2 from square to square, a lens by less;
+a grid that skips or shears by one corner by 1."""
+
+_GOES_ON = 0.5
+"""Contrast beyond the last squares over that within the board: 1 where the board goes on, 0 on a
+plain margin. Clutter may do it for one column of corners, hardly for half of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,22 +49,75 @@ def orient_grid(grid: FloatArray, grey: NDArray[np.float32], target: Target) -> 
     right_handed = grid if _is_right_handed(grid) else grid[:, ::-1]
     turns = [np.rot90(right_handed, quarter) for quarter in range(4)]
     fitting = [turn for turn in turns if turn.shape[:2] == (ny, nx)]
-    contrasts = [_contrast_of_first_square(turn, grey) for turn in fitting]
-    if max(map(abs, contrasts)) < _MIN_CONTRAST:
-        return "the squares show no contrast between black and white"
+    signs = [_first_square_sign(_square_levels(turn, grey)) for turn in fitting]
+    if 0 in signs:
+        return f"what looks like {nx}x{ny} corners does not alternate between black and white"
     wanted = -1 if target.top_left == "black" else 1
-    matching = [
-        turn for turn, contrast in zip(fitting, contrasts, strict=True) if contrast * wanted > 0
-    ]
+    matching = [turn for turn, sign in zip(fitting, signs, strict=True) if sign == wanted]
     if not matching:
-        return (
-            f"square [0,0] is {'white' if wanted < 0 else 'black'} in every order of {nx}x{ny} "
-            f"corners; if the board is right, it is {ny}x{nx} (its mirror image), and the picture "
-            f"may not be mirrored"
-        )
+        return _no_order_fits(target)
     # Of equal orders take the one that stands most upright: it reads like the printed sheet.
     upright = max(matching, key=lambda turn: float((turn[0, -1] - turn[0, 0])[0]))
     return OrientedGrid(np.ascontiguousarray(upright), half_turn_ambiguous=len(matching) > 1)
+
+
+def _no_order_fits(target: Target) -> str:
+    nx, ny = target.corners_xy
+    seen = "white" if target.top_left == "black" else "black"
+    if nx % 2 == 1 and nx != ny:
+        return (
+            f"square [0,0] is {seen} in every order of {nx}x{ny} corners: if the board is right, "
+            f"the target is {ny}x{nx} (its mirror image) or the picture is mirrored"
+        )
+    return (
+        f"the corner squares are {seen}, the target has them {target.top_left}; use a target.json "
+        f'with "top_left_square": "{seen}"'
+    )
+
+
+def is_regular(grid: FloatArray) -> bool:
+    """Tell whether neighbouring corners are about evenly spaced on about straight lines."""
+    for along in (grid, np.swapaxes(grid, 0, 1)):
+        bend = np.linalg.norm(along[:-2] - 2 * along[1:-1] + along[2:], axis=-1)
+        span = np.linalg.norm(along[2:] - along[:-2], axis=-1) / 2
+        if (bend > _BEND * span).any():
+            return False
+    return True
+
+
+def goes_on(grid: FloatArray, grey: NDArray[np.float32]) -> bool:
+    """Tell whether the chessboard continues beyond the outermost corners that were found.
+
+    A detector that looks for too few corners may find a part of a larger board, each time another.
+    One step outside the grid the true board ends: its last squares meet the white margin. If it
+    goes on, four squares meet there as everywhere, and the contrast across the last squares comes
+    back with the opposite sign one square further out.
+
+    Parameters
+    ----------
+    grid : (ny, nx, 2) float, pixels
+    grey : (H, W) float32
+    """
+    return any(_continues_upwards(np.rot90(grid, quarter), grey) for quarter in range(4))
+
+
+def _continues_upwards(grid: FloatArray, grey: NDArray[np.float32]) -> bool:
+    cells = homographies_of_cells(grid)[0]  # the uppermost row; y grows into the board
+    # left and right of each column of corners: in the first row of squares between corners, in the
+    # last row of the board (-1 to 0), and where a further row would be
+    x, y = np.array([[-0.3, 0.3] * 3, [0.3, 0.3, -0.7, -0.7, -1.3, -1.3]])
+    points = np.stack([x, y, np.ones(6)], axis=1)
+    mapped = np.einsum("cij,nj->cni", cells[1:], points)
+    pixels = np.rint(mapped[..., :2] / mapped[..., 2:])
+    inside = ((pixels >= 0) & (pixels <= np.array(grey.shape[::-1]) - 1)).all(axis=(1, 2))
+    if inside.sum() < 2:
+        return False
+    column, row = np.moveaxis(pixels[inside].astype(int), -1, 0)
+    levels = grey[row, column]
+    within, last, beyond = (levels[:, at] - levels[:, at + 1] for at in (0, 2, 4))
+    scale = np.where(np.abs(within) < _MIN_CONTRAST, np.inf, within)
+    alternates = (last / scale < -_GOES_ON) & (beyond / scale > _GOES_ON)
+    return bool(alternates.mean() > _GOES_ON)
 
 
 def _is_right_handed(grid: FloatArray) -> bool:
@@ -62,8 +127,8 @@ def _is_right_handed(grid: FloatArray) -> bool:
     return bool(x[0] * y[1] - x[1] * y[0] > 0)
 
 
-def _contrast_of_first_square(grid: FloatArray, grey: NDArray[np.float32]) -> float:
-    """Mean grey of the squares coloured like [1, 1] (so like [0, 0]) minus that of the others.
+def _square_levels(grid: FloatArray, grey: NDArray[np.float32]) -> FloatArray:
+    """Return the grey of the squares between corners, (ny - 1, nx - 1).
 
     Sampled at 0.3 of a square from the centre along the diagonals: outside any disc, inside any
     square.
@@ -73,7 +138,22 @@ def _contrast_of_first_square(grid: FloatArray, grey: NDArray[np.float32]) -> fl
     mapped = np.einsum("yxij,nj->yxni", homographies_of_cells(grid), offsets)
     x, y = np.moveaxis(np.rint(mapped[..., :2] / mapped[..., 2:]).astype(int), -1, 0)
     x, y = np.clip(x, 0, grey.shape[1] - 1), np.clip(y, 0, grey.shape[0] - 1)
-    levels = np.median(grey[y, x], axis=-1)
+    return np.asarray(np.median(grey[y, x], axis=-1), dtype=np.float64)
+
+
+def _first_square_sign(levels: FloatArray) -> int:
+    """Return 1 if squares like [1, 1] (so like [0, 0]) are white, -1 if black, 0 if neither.
+
+    Neighbours are compared, not levels, so light may change over the board.
+    """
     iy, ix = np.indices(levels.shape)
-    even = (ix + iy) % 2 == 0
-    return float(np.median(levels[even]) - np.median(levels[~even]))
+    signed = np.where((ix + iy) % 2 == 0, 1.0, -1.0)
+    steps = [
+        ((levels[:, :-1] - levels[:, 1:]) * signed[:, :-1]).ravel(),
+        ((levels[:-1] - levels[1:]) * signed[:-1]).ravel(),
+    ]
+    differences = np.concatenate(steps)
+    for sign in (1, -1):
+        if (sign * differences > _MIN_CONTRAST).mean() >= _ALTERNATING:
+            return sign
+    return 0

@@ -1,6 +1,6 @@
 """Two cameras: where one is from the other."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +19,11 @@ from calichrome.geometry.adjustment import (
     whitened_residuals,
 )
 from calichrome.geometry.intrinsics import CameraSolution
+from calichrome.geometry.lenses import BrownConrady
 
-__all__ = ["PairSolution", "solve_pair"]
+__all__ = ["PairSolution", "covariance_of_errors", "solve_pair"]
+
+Seen = tuple[Mapping[str, PlanarView], Mapping[str, Pose]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,9 +34,10 @@ class PairSolution:
     ----------
     b_from_a
         Moves points of camera a's frame into camera b's.
-    cov : (6, 6) float or None
-        Of (omega, tau) as `Pose` defines them: rad, m. Holds the noise of the pair's own corners
-        and the uncertainty of both lenses; None where either leaves a direction open.
+    errors : side, frame -> (6, k) float, or None
+        How (omega, tau), rad and m as `Pose` defines them, answer to independent unit errors: of
+        the corners of camera a (side 0) or b (side 1) in a frame, and of its lens (frame None).
+        Pairs that share a camera share these errors. None where the data leave a direction open.
     rms_px
         Root mean square 2-D distance over both cameras, lenses fixed.
     n_shared
@@ -41,9 +45,19 @@ class PairSolution:
     """
 
     b_from_a: Pose
-    cov: FloatArray | None
+    errors: Mapping[tuple[int, str | None], FloatArray] | None
     rms_px: float
     n_shared: int
+
+    @property
+    def cov(self) -> FloatArray | None:
+        """Covariance of (omega, tau), (6, 6): noise of the corners and of both lenses."""
+        return None if self.errors is None else covariance_of_errors(self.errors.values())
+
+
+def covariance_of_errors(responses: Iterable[FloatArray]) -> FloatArray:
+    """Add up what independent unit errors do, (6, k) each, to a covariance (6, 6)."""
+    return sum((response @ response.T for response in responses), np.zeros((6, 6)))
 
 
 def solve_pair(
@@ -95,7 +109,9 @@ def solve_pair(
     best = min(solved, key=lambda item: item.variance)
     return PairSolution(
         b_from_a=best.scene.cams_from_ref[1],
-        cov=_covariance(sightings, best, camera_a, camera_b),
+        errors=_errors(
+            shared, sightings, best, (camera_a, camera_b), ((views_a, poses_a), (views_b, poses_b))
+        ),
         rms_px=rms_px(best.residuals_px),
         n_shared=len(shared),
     )
@@ -109,21 +125,52 @@ def _starts(motions: list[Pose]) -> list[Pose]:
     return [central] if len(motions) == 1 else [central, Pose.mean(motions)]
 
 
-def _covariance(
-    sightings: Sightings, solved: Adjustment, camera_a: CameraSolution, camera_b: CameraSolution
-) -> FloatArray | None:
-    """Covariance of b_from_a: its own noise, and what the lenses pass on.
+def _errors(
+    frames: Sequence[str],
+    sightings: Sightings,
+    solved: Adjustment,
+    cameras: tuple[CameraSolution, CameraSolution],
+    seen: tuple[Seen, Seen],
+) -> dict[tuple[int, str | None], FloatArray] | None:
+    """Respond to the noise of every view, and to what the lenses pass on.
 
-    At the minimum J'r = 0, so a change dl of the fixed lenses moves the pair's unknowns by
-    dp = -(Jp'Jp)^-1 Jp' Jl dl. Lens noise and corner noise are taken as independent.
+    At the minimum Jp'r = 0, so noise dr of the corners and a change dl of the fixed lenses move
+    the pair's unknowns by dp = -(Jp'Jp)^-1 Jp' (dr + Jl dl).
+
+    Both come from the same corners and still do not correlate: dl answers only to noise that no
+    board pose can follow, and the columns of Jp in one view are motions of that view's board. For
+    the same reason the noise of a view acts through six numbers, its part along these motions.
     """
-    if solved.covariance is None or camera_a.lens_cov is None or camera_b.lens_cov is None:
+    if solved.covariance is None:
         return None
     everything = Free(np.ones((2, 9), dtype=bool), np.array([False, True]))
     _, jacobian = whitened_residuals(sightings, solved.scene, everything)
     by_lens, own = jacobian[:, :18], jacobian[:, 18:]
-    response = -(solved.covariance / solved.variance) @ (own.T @ by_lens)
-    lens_cov = np.zeros((18, 18))
-    lens_cov[:9, :9], lens_cov[9:, 9:] = camera_a.lens_cov, camera_b.lens_cov
-    total = solved.covariance + response @ lens_cov @ response.T
-    return np.asarray(total[:6, :6])
+    response = -(solved.covariance[:6] / solved.variance) @ own.T
+    errors: dict[tuple[int, str | None], FloatArray] = {}
+    start = 0
+    for side, (camera, (views, poses)) in enumerate(zip(cameras, seen, strict=True)):
+        if camera.lens_cov is None:
+            return None
+        columns = slice(9 * side, 9 * side + 9)
+        errors[side, None] = response @ by_lens[:, columns] @ _root(camera.lens_cov)
+        for frame in frames:
+            stop = start + 2 * len(views[frame].pixels)
+            motions = _board_motions(views[frame], camera.lens, poses[frame])
+            errors[side, frame] = np.sqrt(solved.variance) * response[:, start:stop] @ motions
+            start = stop
+    return errors
+
+
+def _board_motions(view: PlanarView, lens: BrownConrady, cam_from_board: Pose) -> FloatArray:
+    """Orthonormal basis (2N, 6) of how the whitened corners of a view follow its board."""
+    scene = Scene((lens,), (Pose.identity(),), (cam_from_board,))
+    _, jacobian = whitened_residuals(Sightings.collect([(0, 0, view)]), scene, Free.only_boards(1))
+    return np.asarray(np.linalg.qr(jacobian)[0])
+
+
+def _root(cov: FloatArray) -> FloatArray:
+    """A root R with R R' = cov; fixed parameters have zero rows, so Cholesky would fail."""
+    scale = np.sqrt(np.where(np.diag(cov) > 0, np.diag(cov), 1.0))
+    values, vectors = np.linalg.eigh(cov / np.outer(scale, scale))
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0)))

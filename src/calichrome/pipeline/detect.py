@@ -175,14 +175,19 @@ def require_boards(detection: Detection, recording: Recording, target: Target) -
 def _other_board(
     recording: Recording, camera: str, frames: list[str], target: Target
 ) -> tuple[str, tuple[int, int]] | None:
+    """Find a board of other corner counts that pictures agree on: one alone may show it cut."""
+    seen: dict[tuple[int, int], list[str]] = defaultdict(list)
     for frame in frames:
         image = recording.read(camera, frame)
         if isinstance(image, Unreadable):
             continue
         counts = seen_corner_counts(np.rint(np.clip(image.grey(), 0, 255)).astype(np.uint8))
         if counts is not None and sorted(counts) != sorted(target.corners_xy):
-            return frame, counts
-    return None
+            seen[counts].append(frame)
+    counts, agreeing = max(seen.items(), key=lambda item: len(item[1]), default=((0, 0), []))
+    if not agreeing or (len(agreeing) == 1 and len(frames) > 1):
+        return None
+    return agreeing[0], counts
 
 
 def _sizes(
