@@ -8,7 +8,7 @@ from calichrome.apply.corrector import (
     rectifying_map,
     undistorting_map,
 )
-from calichrome.apply.sheets import before_after_sheet, crop_around, rectified_sheet
+from calichrome.apply.sheets import before_after_sheet, crop_around, picture_grid, rectified_sheet
 
 __all__ = [
     "OUTPUT_SPACES",
@@ -17,6 +17,7 @@ __all__ = [
     "SourceMap",
     "before_after_sheet",
     "crop_around",
+    "picture_grid",
     "rectified_sheet",
     "rectifying_map",
     "undistorting_map",

@@ -165,7 +165,7 @@ def _widen(pixels: Pixels, full_scale: float) -> NDArray[np.uint16]:
     if full_scale == 65535:
         return np.asarray(pixels, dtype=np.uint16)
     stretched = np.minimum(pixels / full_scale, 1) * 65535
-    return np.rint(stretched).astype(np.uint16)
+    return np.asarray(np.rint(stretched), dtype=np.uint16)
 
 
 def _linear_table(encoding: EncodingName) -> SourceMap:

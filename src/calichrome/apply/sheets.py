@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from calichrome.core.arrays import FloatArray, UInt8Array
 
-__all__ = ["before_after_sheet", "crop_around", "rectified_sheet"]
+__all__ = ["before_after_sheet", "crop_around", "picture_grid", "rectified_sheet"]
 
 _TILE = 300  # px, side of one tile
 _BAND = 26  # px, height of a caption
@@ -55,6 +55,21 @@ def before_after_sheet(
         captions = [_caption(column[0], _TILE) for column in columns]
         title = _caption(caption, _width(len(columns)), bold=True)
         bands += [title, _beside(captions), _beside(tiles)]
+    return np.concatenate(bands)
+
+
+def picture_grid(tiles: Sequence[tuple[str, UInt8Array]], n_columns: int) -> UInt8Array:
+    """Put captioned pictures (h, w, 3), uint8, on one sheet, row by row."""
+    blank = np.full((_TILE, _TILE, 3), _PAPER, dtype=np.uint8)
+    padding = [("", blank)] * (-len(tiles) % n_columns)
+    every = [*tiles, *padding]
+    rows = [every[start : start + n_columns] for start in range(0, len(every), n_columns)]
+    bands = []
+    for row in rows:
+        pictures = [_tile(picture) for _, picture in row]
+        height = max(round(_TILE * p.shape[0] / max(p.shape[:2])) for _, p in row)
+        captions = [_caption(name, _TILE) for name, _ in row]
+        bands += [_beside(captions), _beside([picture[:height] for picture in pictures])]
     return np.concatenate(bands)
 
 

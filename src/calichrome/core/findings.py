@@ -25,6 +25,8 @@ SEVERITIES: Mapping[str, Severity] = MappingProxyType(
         "exposure_changes": "warning",
         "unsynchronised": "critical",
         "weak_geometry": "critical",
+        "poor_fit": "critical",
+        "views_disagree": "critical",
         "unreadable_frame": "warning",
         "no_board_frame": "note",
         "rotation_tag_ignored": "note",

@@ -170,7 +170,7 @@ def _board_motions(view: PlanarView, lens: BrownConrady, cam_from_board: Pose) -
 
 
 def _root(cov: FloatArray) -> FloatArray:
-    """A root R with R R' = cov; fixed parameters have zero rows, so Cholesky would fail."""
+    """Return R with R R' = cov; fixed parameters have zero rows, so Cholesky would fail."""
     scale = np.sqrt(np.where(np.diag(cov) > 0, np.diag(cov), 1.0))
     values, vectors = np.linalg.eigh(cov / np.outer(scale, scale))
     return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0)))

@@ -1,7 +1,7 @@
 """Findings: what the numbers of a calibration say to its user."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from calichrome.colour.checks import exposure_jumps, grey_slope
 from calichrome.colour.fit import ColourSolution
 from calichrome.colour.samples import ColourSamples
 from calichrome.core.findings import Finding, finding
+from calichrome.geometry.adjustment import rms_px
 from calichrome.geometry.intrinsics import CameraSolution
 from calichrome.geometry.rig_solve import RigSolution
 from calichrome.imaging import Recording
@@ -33,6 +34,12 @@ a board that moves by one pixel between the shutters passes 2 wherever corners a
 _WEAK_FOCAL = 0.02
 """Relative sigma of a focal length from which lengths are uncertain by 4 % (95 %): no rig can use
 that, while ten tilted views give 0.1 %."""
+_POOR_FIT = 1e-3
+"""RMS over picture width from which a lens does not explain its views: at common focal lengths a
+ray is then off by 1 mrad, 1 mm at 1 m. The real recordings of the tests are at 1e-4 to 3e-4."""
+_OUTLYING = 4.0
+"""RMS of a view over the median view of its camera, where it also exceeds `_POOR_FIT`. The worst
+views of the real recordings of the tests are at 1.6."""
 _SLOPE_TOLERANCE = 0.12
 """Of the grey slope about 1. Simulated prints with errors of sd 3 in L, a, b scatter by 0.03;
 Rec.709 taken for sRGB gives 0.85, gamma 2.2 taken for linear 0.45."""
@@ -98,6 +105,7 @@ def judge_geometry(rig: RigSolution, target: Target) -> Iterator[Finding]:
                 f"Tilt the board by 30 to 45 degrees both ways and vary its distance.",
                 camera=camera, sigma_fx_px=sigma,
             )  # fmt: skip
+        yield from _judge_residuals(camera, solution, list(rig.dataset.views[camera]), rig)
     for (a, b), pair in rig.pairs.items():
         own = max(rig.cameras[a].rms_px, rig.cameras[b].rms_px)
         if pair.n_shared > 1 and pair.rms_px > _UNSYNCHRONISED * own:
@@ -108,6 +116,30 @@ def judge_geometry(rig: RigSolution, target: Target) -> Iterator[Finding]:
                 f"each shot.",
                 cameras=[a, b], rms_px=pair.rms_px, own_rms_px=own,
             )  # fmt: skip
+
+
+def _judge_residuals(
+    camera: str, solution: CameraSolution, frames: Sequence[str], rig: RigSolution
+) -> Iterator[Finding]:
+    limit_px = _POOR_FIT * rig.dataset.sizes_wh[camera][0]
+    by_view = np.array([rms_px(part) for part in solution.residuals_px])
+    off = by_view > max(limit_px, _OUTLYING * float(np.median(by_view)))
+    names = [frame for frame, is_off in zip(frames, off, strict=True) if is_off]
+    if names:
+        yield finding(
+            "views_disagree",
+            f"Camera {camera}: frames {', '.join(names[:5])} miss by {by_view[off].max():.1f} px, "
+            f"the others by {np.median(by_view):.2f} px. The board moved, bent or was numbered "
+            f"wrongly there; look at them with `detect --overlay` and leave them out.",
+            camera=camera, frames=names,
+        )  # fmt: skip
+    elif solution.rms_px > limit_px:
+        yield finding(
+            "poor_fit",
+            f"Camera {camera}: the views are explained only to {solution.rms_px:.2f} px. The board "
+            f"may be bent, the target described wrongly, or the lens beyond {solution.lens.MODEL}.",
+            camera=camera, rms_px=solution.rms_px,
+        )  # fmt: skip
 
 
 def focal_sigma(solution: CameraSolution) -> float | None:

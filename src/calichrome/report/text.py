@@ -5,12 +5,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from calichrome._version import __version__
+from calichrome.core.findings import Finding
 from calichrome.rig import Camera, Rig
 
 __all__ = ["summary", "table"]
 
 _MOST_FINDINGS = 9
-_WIDTH = 100
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
@@ -73,17 +73,25 @@ def _lines(rig: Rig) -> Iterator[str]:
         more = f", {len(pairs) - 6} more" if len(pairs) > 6 else ""
         yield f"Pairs, RMS (shared views): {', '.join(shown)}{more}"
     yield ""
-    order = {"critical": 0, "warning": 1, "note": 2}
-    findings = sorted(rig.findings, key=lambda item: order[item.severity])
-    for item in findings[:_MOST_FINDINGS]:
-        yield f"{item.severity:8} {item.code}: {item.text}"
-    if len(findings) > _MOST_FINDINGS:
-        yield f"         and {len(findings) - _MOST_FINDINGS} more findings in the rig file"
+    yield from _finding_lines(rig.findings)
     yield (
         "Trustworthy: yes."
         if rig.trustworthy
         else "Trustworthy: NO. A critical finding says that these numbers may be wrong."
     )
+
+
+def _finding_lines(findings: Sequence[Finding]) -> Iterator[str]:
+    """Yield the first finding of each code, gravest first, and how many more there are."""
+    order = {"critical": 0, "warning": 1, "note": 2}
+    by_code: dict[str, list[Finding]] = {}
+    for item in sorted(findings, key=lambda item: order[item.severity]):
+        by_code.setdefault(item.code, []).append(item)
+    for same in list(by_code.values())[:_MOST_FINDINGS]:
+        more = f" (and {len(same) - 1} more like this)" if len(same) > 1 else ""
+        yield f"{same[0].severity:8} {same[0].code}: {same[0].text}{more}"
+    if len(by_code) > _MOST_FINDINGS:
+        yield f"         and {len(by_code) - _MOST_FINDINGS} more kinds of findings in the rig file"
 
 
 def _count(number: int, what: str) -> str:
