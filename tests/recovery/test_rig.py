@@ -79,11 +79,13 @@ def test_pair_recovers_the_truth(
     error = _step(pair.b_from_a, truth.cams_from_ref[1] @ truth.cams_from_ref[0].inverse())
     # 99.99 % of all draws lie within 4 sigma; the sigmas themselves are tested below
     np.testing.assert_array_less(np.abs(error), 4 * np.sqrt(np.diag(pair.cov)))
-    # two cameras 0.4 m apart, boards at 0.65 m, 24 views: half a degree and 5 mm are no feat
-    np.testing.assert_array_less(np.abs(error[:3]), np.radians(0.5))
-    np.testing.assert_array_less(np.abs(error[3:]), 0.005)
-    # of two coordinates per corner, less what lenses (in effect) and poses take up
-    assert pair.rms_px == pytest.approx(_SIGMA_PX * np.sqrt(2), rel=0.05)
+    # Two cameras 0.4 m apart, boards at 0.65 m: the principal points (sigma 2 px of 600) turn the
+    # cameras by 0.2 degrees and move them by 1.3 mm at the boards. Four times that is no feat.
+    np.testing.assert_array_less(np.abs(error[:3]), np.radians(0.8))
+    np.testing.assert_array_less(np.abs(error[3:]), 0.01)
+    # Two coordinates a corner; each lens was free to suit its own boards, so together they fit
+    # by some per cent less well than the noise.
+    assert pair.rms_px == pytest.approx(_SIGMA_PX * np.sqrt(2), rel=0.1)
 
 
 def test_motion_there_and_back_is_one_estimate(
@@ -279,11 +281,17 @@ def test_held_out_error_is_the_noise(
     board: Target, make_rig: MakeRig, observe: Observe, rng: np.random.Generator
 ) -> None:
     dataset = observe(make_rig(board, 2, 24), board, _SIGMA_PX, rng)
-    held_out = held_out_rms_px(solve_rig_pairwise(dataset, board), board)
-    # Of 216 numbers a frame the board takes 6 (rms down by 1.4 %); lenses from 18 views of 54
-    # corners add about as much. The mean square itself is known to sqrt(1 / 2600) = 2 %.
-    for value in held_out.values():
-        assert value == pytest.approx(_SIGMA_PX * np.sqrt(2), rel=0.04)
+    noise_px = _SIGMA_PX * np.sqrt(2)
+    alone = _kept(dataset, {"a": range(24)})
+    held_out = held_out_rms_px(solve_rig_pairwise(alone, board), board)["a"]
+    # Of 108 numbers a frame the board takes 6; nine lens parameters from 18 frames add back 1 %.
+    # The mean square of 2592 numbers is known to 2.8 %, its root to 1.4 %; three of these.
+    assert held_out == pytest.approx(noise_px * np.sqrt(1 - 6 / 108), rel=0.045)
+    # With one pose for two cameras nothing hides the errors of the lenses: some per cent more.
+    both = held_out_rms_px(solve_rig_pairwise(dataset, board), board)
+    assert set(both) == {"a", "b"}
+    for value in both.values():
+        assert value == pytest.approx(noise_px, rel=0.1)
 
 
 def test_held_out_error_sees_more_than_the_fit(

@@ -9,7 +9,7 @@ from tyro.conf import Positional
 
 from calichrome.cli.terminal import Command, Flag, Output, names_from
 from calichrome.core.files import check_output
-from calichrome.errors import RecordingError
+from calichrome.errors import OutputError, RecordingError
 from calichrome.imaging.sizes import parse_size
 from calichrome.pipeline.calibrate import CalibrationSettings, run, run_on_corners
 from calichrome.report.text import summary
@@ -38,7 +38,10 @@ class Calibrate(Command):
 
     def run(self) -> int:
         """Calibrate, save, and print the summary."""
-        check_output(self.output, force=self.force)
+        if self.output.suffix == ".npz":
+            raise OutputError(f"{self.output}: the evidence takes this name; choose -o rig.json")
+        for path in (self.output, self.output.with_suffix(".npz")):
+            check_output(path, force=self.force)
         settings = replace(self.settings, cameras=names_from(self.settings.cameras))
         with self.progress() as progress:
             if self.corners is not None:

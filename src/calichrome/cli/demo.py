@@ -12,7 +12,7 @@ from calichrome.cli.simulate import standard_target
 from calichrome.cli.terminal import Command, Flag, Output
 from calichrome.colorimetry.encoding import encode
 from calichrome.core.arrays import FloatArray, UInt8Array
-from calichrome.core.files import check_output, writing_folder
+from calichrome.core.files import check_folder, writing_folder
 from calichrome.imaging import Image, Recording, write_picture
 from calichrome.pipeline.calibrate import CalibrationSettings, run
 from calichrome.pipeline.correct import rectify
@@ -38,7 +38,7 @@ class Demo(Command):
 
     def run(self) -> int:
         """Render, calibrate, compare, and draw."""
-        check_output(self.output, force=self.force)
+        check_folder(self.output, force=self.force)
         with self.progress() as progress, writing_folder(self.output, force=self.force) as folder:
             scene = demo_scene(standard_target(), self.seed)
             write_recording(

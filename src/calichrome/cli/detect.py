@@ -1,5 +1,6 @@
 """``calichrome detect``."""
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -7,7 +8,8 @@ from typing import Annotated
 from tyro.conf import Positional
 
 from calichrome.cli.terminal import Command, Flag, Output, names_from
-from calichrome.core.files import check_output
+from calichrome.core.files import check_output, writing_folder
+from calichrome.errors import DetectionError
 from calichrome.imaging import MAX_MEGAPIXELS, open_recording
 from calichrome.observations import write_observations
 from calichrome.pipeline.detect import detect_recording, find_target
@@ -38,9 +40,9 @@ class Detect(Command):
 
     def run(self) -> int:
         """Detect and write; exit code 1 if there is no board anywhere."""
-        check_output(self.output, force=self.force)
-        if self.overlay is not None:
-            check_output(self.overlay, force=self.force)
+        beside = [self.output.with_suffix(f".{kind}.csv") for kind in ("markers", "rejected")]
+        for path in (self.output, *beside):
+            check_output(path, force=self.force)
         recording = open_recording(
             self.recording,
             pattern=self.pattern,
@@ -48,8 +50,8 @@ class Detect(Command):
             max_megapixels=self.max_megapixels,
         )
         target = find_target(recording, self.target, None)
-        with self.progress() as progress:
-            detection = detect_recording(recording, target, overlay=self.overlay, progress=progress)
+        with self.progress() as progress, self._drawing() as overlay:
+            detection = detect_recording(recording, target, overlay=overlay, progress=progress)
         write_observations(detection.dataset, detection.rejected, self.output, force=self.force)
         views = {camera: len(seen) for camera, seen in detection.dataset.views.items()}
         lines = [recording.reading]
@@ -68,4 +70,14 @@ class Detect(Command):
             for camera, frame, why in detection.rejected
         ]
         self.show("\n".join(lines), {"views": views, "rejected": rejected})
-        return 0 if any(views.values()) else 1
+        if any(views.values()):
+            return 0
+        raise DetectionError(
+            f"no board in any of {recording.n_pictures} pictures; {self.output.stem}.rejected.csv "
+            f"says why of each"
+        )
+
+    def _drawing(self) -> AbstractContextManager[Path | None]:
+        if self.overlay is None:
+            return nullcontext()
+        return writing_folder(self.overlay, force=self.force, inputs=[self.recording])

@@ -73,11 +73,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return command.run()
     except CalichromeError as error:
-        print(f"calichrome: {error}", file=sys.stderr)
-        return 1
+        return _cannot(str(error))
+    except OSError as error:  # of files that nobody expected to be in the way
+        return _cannot(
+            f"{error.filename or 'a file'} cannot be read or written ({error.strerror or error}); "
+            f"check the path, its permissions and the space on the disk"
+        )
+    except MemoryError as error:
+        return _cannot(f"there is not enough memory ({error}); use smaller pictures")
     except KeyboardInterrupt:
-        print("calichrome: interrupted; nothing was written", file=sys.stderr)
-        return 1
+        return _cannot("interrupted; what was being written is left out")
+
+
+def _cannot(reason: str) -> int:
+    """Say in one line why not."""
+    print(f"calichrome: {' '.join(reason.split())}", file=sys.stderr)
+    return 1
 
 
 if __name__ == "__main__":

@@ -3,13 +3,13 @@
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from calichrome.errors import OutputError
 
-__all__ = ["check_output", "refuse_existing", "writing_file", "writing_folder"]
+__all__ = ["check_folder", "check_output", "refuse_existing", "writing_file", "writing_folder"]
 
 
 def refuse_existing(path: Path, *, force: bool) -> None:
@@ -52,20 +52,28 @@ def writing_file(path: Path, *, force: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def writing_folder(path: Path, *, force: bool = False) -> Iterator[Path]:
+def writing_folder(
+    path: Path, *, force: bool = False, inputs: Iterable[Path] = ()
+) -> Iterator[Path]:
     """Yield a temporary folder beside `path`; put it in place on success.
 
     An existing folder is replaced as a whole, and only with `force`; an empty one always.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    force
+        Replace an existing one.
+    inputs
+        What the output is made from: a folder that is or holds one of them is never replaced.
 
     Raises
     ------
     OutputError
         As `writing_file`.
     """
-    empty = path.is_dir() and not any(path.iterdir())
-    refuse_existing(path, force=force or empty)
-    if path.exists() and not path.is_dir():
-        raise OutputError(f"{path} is a file; -o wants the name of a folder")
+    check_folder(path, force=force, inputs=inputs)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
@@ -95,8 +103,26 @@ def _cannot_write(path: Path, error: OSError) -> OutputError:
 
 
 def check_output(path: Path, *, force: bool) -> None:
-    """Raise `OutputError` now if `path` could not be written later, after long work."""
+    """Raise `OutputError` now if the file `path` could not be written later, after long work."""
+    if path.is_dir():
+        raise OutputError(f"{path} is a folder; -o wants the name of a file")
     refuse_existing(path, force=force)
+    _check_writable(path)
+
+
+def check_folder(path: Path, *, force: bool, inputs: Iterable[Path] = ()) -> None:
+    """Raise `OutputError` now if the folder `path` could not be written or replaced later."""
+    if path.exists() and not path.is_dir():
+        raise OutputError(f"{path} is a file; -o wants the name of a folder")
+    empty = path.is_dir() and not any(path.iterdir())
+    refuse_existing(path, force=force or empty)
+    for item in inputs:
+        if path.resolve() in (item.resolve(), *item.resolve().parents):
+            raise OutputError(f"{path} holds {item}, which is read; choose another -o")
+    _check_writable(path)
+
+
+def _check_writable(path: Path) -> None:
     parent = path.parent
     while not parent.exists():
         parent = parent.parent

@@ -10,7 +10,7 @@ import numpy as np
 from calichrome.colorimetry.encoding import EncodingName
 from calichrome.core.files import writing_file
 from calichrome.errors import OutputError
-from calichrome.imaging.header import Unreadable, read_header
+from calichrome.imaging.header import DAMAGED, Unreadable, read_header
 from calichrome.imaging.image import Image, Pixels
 
 __all__ = ["MAX_MEGAPIXELS", "PICTURE_SUFFIXES", "read_image", "read_size", "write_picture"]
@@ -56,13 +56,13 @@ def read_image(  # noqa: PLR0911 (every way in which a file can be bad is an ans
     try:
         decoded = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
-        return Unreadable(f"cannot be decoded ({error.err})")
+        return Unreadable(f"cannot be decoded ({error.err}); save it again as PNG")
     if decoded is None or (decoded.shape[1], decoded.shape[0]) != header.size_wh:
-        return Unreadable("the file is cut off or damaged; copy it again")
+        return Unreadable(DAMAGED)
     if decoded.dtype not in (np.uint8, np.uint16, np.float32):
-        return Unreadable(f"holds {decoded.dtype} pixels; 8 or 16 bit or float32 is read")
+        return Unreadable(f"holds {decoded.dtype} pixels; save it with 8 or 16 bit or float32")
     if decoded.dtype == np.float32 and not np.isfinite(decoded).all():
-        return Unreadable("holds pixels that are not finite")
+        return Unreadable("holds pixels that are not finite; replace them")
     integer_bits = 8 * decoded.dtype.itemsize
     return Image(
         pixels=_to_rgb(decoded),
@@ -87,10 +87,10 @@ def _read_bytes(path: Path) -> bytes | Unreadable:
     try:
         size = path.stat().st_size
         if size > _MAX_BYTES:
-            return Unreadable(f"is {size / 1e9:.1f} GB large")
+            return Unreadable(f"is {size / 1e9:.1f} GB large; no picture is, remove it")
         return path.read_bytes()
     except OSError as error:
-        return Unreadable(f"cannot be read ({error.strerror})")
+        return Unreadable(f"cannot be read ({error.strerror}); check its permissions")
 
 
 def _to_rgb(decoded: Pixels) -> Pixels:
@@ -130,6 +130,8 @@ def write_picture(
             cv2.IMWRITE_JPEG_QUALITY, jpeg_quality,
             cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
         ]  # fmt: skip
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
+        raise OutputError(f"{path} is no picture name; use .png, .jpg or .tif")
     ok, content = cv2.imencode(path.suffix, np.ascontiguousarray(ordered), options)
     if not ok:
         raise OutputError(f"{path} cannot be encoded; use .png, .jpg or .tif")

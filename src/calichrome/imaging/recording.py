@@ -105,7 +105,8 @@ def open_recording(
         If there are no pictures, several ways to read them, or no common frame.
     """
     if not folder.is_dir():
-        raise RecordingError(f"{folder} is not a folder; give the folder that holds the pictures")
+        what = "is not a folder" if folder.exists() else "does not exist"
+        raise RecordingError(f"{folder} {what}; give the folder that holds the pictures")
     settings = read_recording_file(folder / "recording.toml")
     paths = picture_files(folder)
     if not paths:
@@ -127,6 +128,7 @@ def open_recording(
     else:
         files, reading = _read_layout(folder, paths)
     files = _without_background(files)
+    _check_entries(settings, files, folder)
     files = _only(files, cameras, folder)
     _check_common_frames(files, folder)
     used = {path for frames in files.values() for path in frames.values()}
@@ -252,6 +254,15 @@ def _without_background(files: Files) -> Files:
         if camera != _BACKGROUND
     }
     return {camera: frames for camera, frames in kept.items() if frames}
+
+
+def _check_entries(settings: RecordingFile, files: Files, folder: Path) -> None:
+    unknown = [camera for camera in settings.cameras if camera not in files]
+    if unknown and files:
+        raise RecordingError(
+            f"{folder / 'recording.toml'}: cameras.{unknown[0]} is not among the cameras "
+            f"{', '.join(sorted(files))}; correct the name"
+        )
 
 
 def _only(files: Files, cameras: Sequence[str], folder: Path) -> Files:

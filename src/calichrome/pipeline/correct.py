@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,8 @@ from calichrome.apply import (
     rectifying_map,
     undistorting_map,
 )
-from calichrome.core.files import refuse_existing, writing_folder
-from calichrome.errors import CalichromeError, RecordingError
+from calichrome.core.files import check_folder, check_output, writing_folder
+from calichrome.errors import CalichromeError, OutputError, RecordingError
 from calichrome.geometry.rectification import Rectification, rectify_pair
 from calichrome.imaging import (
     PICTURE_SUFFIXES,
@@ -32,7 +33,17 @@ from calichrome.rig import Camera, Rig
 
 __all__ = ["correct", "rectify"]
 
-Picture = tuple[str, str, Path]
+_PICTURES = f"a picture ({', '.join(PICTURE_SUFFIXES)})"
+
+
+@dataclass(frozen=True, slots=True)
+class _Picture:
+    """One picture to correct; `bits` as recording.toml says, else None."""
+
+    camera: str
+    frame: str
+    path: Path
+    bits: int | None = None
 
 
 def correct(
@@ -75,19 +86,21 @@ def correct(
     list of Path
         What was written.
     """
+    check_folder(output, force=force, inputs=[source])
     pictures = list(_pictures(rig, source, camera, pattern))
     correctors = {}
-    for name in dict.fromkeys(name for name, _, _ in pictures):
+    for name in dict.fromkeys(picture.camera for picture in pictures):
         entry = rig.cameras[name]
         source_map = undistorting_map(entry.lens, entry.size_wh) if undistort else None
         correctors[name] = _named(name, entry, space, source_map)
     written = []
-    with writing_folder(output, force=force) as folder:
-        for done, (name, frame, path) in enumerate(pictures):
+    with writing_folder(output, force=force, inputs=[source]) as folder:
+        for done, picture in enumerate(pictures):
             progress("correcting", done, len(pictures))
-            image = _read(rig.cameras[name], path)
+            name, path = picture.camera, picture.path
+            image = _read(rig.cameras[name], path, picture.bits)
             corrected = _apply(correctors[name], image, path)
-            place = Path(name) / f"{frame}{_suffix(path, corrected)}"
+            place = Path(name) / f"{picture.frame}{_suffix(path, corrected)}"
             write_picture(folder / place, corrected)
             written.append(output / place)
         progress("correcting", len(pictures), len(pictures))
@@ -126,9 +139,14 @@ def rectify(
         if name not in rig.cameras:
             raise RecordingError(f"the rig has no camera {name}; it has {', '.join(rig.cameras)}")
     if pair[0] == pair[1]:
-        raise RecordingError("--pair wants two different cameras")
+        raise RecordingError(f"--pair {pair[0]},{pair[1]} wants two different cameras; name another")
+    if space == "xyz-d65":
+        raise RecordingError("rectify writes PNG, which holds no XYZ; use --colour linear-srgb")
+    check_folder(output, force=force, inputs=[source])
     if sheet is not None:
-        refuse_existing(sheet, force=force)
+        check_output(sheet, force=force)
+        if sheet.suffix.lower() not in PICTURE_SUFFIXES:
+            raise OutputError(f"{sheet}: --sheet wants the name of a picture, like rectified.png")
     cameras = {name: rig.cameras[name] for name in pair}
     a, b = (cameras[name] for name in pair)
     b_from_a = b.cam_from_ref @ a.cam_from_ref.inverse()
@@ -147,22 +165,23 @@ def rectify(
     recording = open_recording(source, pattern=pattern, cameras=pair)
     frames = [frame for frame in recording.files[pair[0]] if frame in recording.files[pair[1]]]
     shown: list[tuple[str, Pixels]] = []
-    with writing_folder(output, force=force) as folder:
+    with writing_folder(output, force=force, inputs=[source]) as folder:
         for done, frame in enumerate(frames):
             progress("rectifying", done, len(frames))
             for name in pair:
                 path = recording.files[name][frame]
-                picture = _apply(correctors[name], _read(cameras[name], path), path)
+                image = _read(cameras[name], path, recording.entry(name).bits)
+                picture = _apply(correctors[name], image, path)
                 write_picture(folder / name / f"{frame}.png", picture)
                 if len(shown) < 2:
                     shown.append((f"{name}, frame {frame}", picture))
         progress("rectifying", len(frames), len(frames))
         text = json.dumps(_rectification_json(rectification, pair), indent=1)
         (folder / "rectification.json").write_text(text + "\n", encoding="utf-8")
-    if sheet is not None:
-        first, second = ((name, _rgb8(picture)) for name, picture in shown)
-        drawn = rectified_sheet(first, second, vertical=rectification.vertical)
-        write_picture(sheet, drawn, force=force)
+        if sheet is not None:
+            first, second = ((name, _rgb8(picture)) for name, picture in shown)
+            drawn = rectified_sheet(first, second, vertical=rectification.vertical)
+            write_picture(sheet, drawn, force=force)
     return rectification
 
 
@@ -182,44 +201,45 @@ def _apply(corrector: Corrector, image: Image, path: Path) -> Pixels:
         raise CalichromeError(f"{path}: {error}") from error
 
 
-def _read(camera: Camera, path: Path) -> Image:
+def _read(camera: Camera, path: Path, bits: int | None) -> Image:
     encoding = None if camera.colour is None else camera.colour.encoding
-    image = read_image(path, encoding=encoding)
+    image = read_image(path, encoding=encoding, bits=bits)
     if isinstance(image, Unreadable):
         raise RecordingError(f"{path}: {image.reason}")
     return image
 
 
-def _pictures(rig: Rig, source: Path, camera: str | None, pattern: str | None) -> Iterator[Picture]:
+def _pictures(
+    rig: Rig, source: Path, camera: str | None, pattern: str | None
+) -> Iterator[_Picture]:
     if camera is not None and camera not in rig.cameras:
         raise RecordingError(f"the rig has no camera {camera}; it has {', '.join(rig.cameras)}")
     if source.is_file():
         if source.suffix.lower() not in PICTURE_SUFFIXES:
-            raise RecordingError(f"{source}: is not a picture ({', '.join(PICTURE_SUFFIXES)})")
-        name = camera or _only_camera(rig, source)
-        yield name, source.stem, source
+            raise RecordingError(f"{source}: is not {_PICTURES}; give one, or a folder of them")
+        yield _Picture(camera or _only_camera(rig, source), source.stem, source)
         return
-    recording = _open(rig, source, camera, pattern)
-    for name, frames in recording.items():
+    recording, files = _open(rig, source, camera, pattern)
+    for name, frames in files.items():
         if name not in rig.cameras:
             raise RecordingError(
                 f"{source}: camera {name} is not in the rig ({', '.join(rig.cameras)}); rename its "
                 f"folder, or say with --camera which one it is"
             )
         for frame, path in frames.items():
-            yield name, frame, path
+            yield _Picture(name, frame, path, recording.entry(name).bits)
 
 
 def _open(
     rig: Rig, source: Path, camera: str | None, pattern: str | None
-) -> Mapping[str, Mapping[str, Path]]:
+) -> tuple[Recording, Mapping[str, Mapping[str, Path]]]:
     if camera is not None and pattern is None:
-        flat: Recording = open_recording(source, pattern="{frame}")
-        return {camera: flat.files["cam0"]}
+        recording = open_recording(source, pattern="{frame}")
+        return recording, {camera: recording.files["cam0"]}
     recording = open_recording(source, pattern=pattern)
     if recording.cameras == ("cam0",) and "cam0" not in rig.cameras:
-        return {camera or _only_camera(rig, source): recording.files["cam0"]}
-    return recording.files
+        return recording, {camera or _only_camera(rig, source): recording.files["cam0"]}
+    return recording, recording.files
 
 
 def _only_camera(rig: Rig, source: Path) -> str:
@@ -231,10 +251,8 @@ def _only_camera(rig: Rig, source: Path) -> str:
 
 
 def _suffix(path: Path, corrected: Pixels) -> str:
-    if corrected.dtype == np.float32:
+    if corrected.dtype != np.uint8:
         return ".tif"
-    if corrected.dtype == np.uint16:
-        return ".png" if path.suffix.lower() == ".png" and corrected.ndim == 3 else ".tif"
     return ".jpg" if path.suffix.lower() in (".jpg", ".jpeg") else ".png"
 
 

@@ -199,13 +199,13 @@ def _sizes(
             sizes[camera][item.size_wh].append(frame)
     for camera in recording.cameras:
         if not sizes[camera]:
-            reason = next(
-                item.found.reason
-                for (cam, _), item in seen.items()
+            frame, reason = next(
+                (frame, item.found.reason)
+                for (cam, frame), item in seen.items()
                 if cam == camera and isinstance(item.found, Unreadable)
             )
             raise RecordingError(
-                f"camera {camera}: none of its pictures can be read ({reason}); record them again"
+                f"camera {camera}: none of its pictures can be read; the first, {frame}: {reason}"
             )
         if len(sizes[camera]) > 1:
             described = ", ".join(
@@ -223,7 +223,7 @@ def _file_findings(seen: Mapping[tuple[str, str], _Seen]) -> tuple[Finding, ...]
     found: list[Finding] = []
     for (camera, frame), item in seen.items():
         if isinstance(item.found, Unreadable):
-            text = f"camera {camera}, frame {frame}: {item.found.reason}; the frame is left out."
+            text = f"camera {camera}, frame {frame} is left out: {item.found.reason}."
             found.append(finding("unreadable_frame", text, camera=camera, frame=frame))
     for camera in dict.fromkeys(camera for camera, _ in seen):
         own = {frame: item for (cam, frame), item in seen.items() if cam == camera}
