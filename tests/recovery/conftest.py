@@ -31,7 +31,7 @@ def make_rig() -> Callable[[Target, int, int], Scene]:
 
 @pytest.fixture(scope="session")
 def observe() -> Callable[[Scene, Target, float, np.random.Generator], Dataset]:
-    """Return a function (rig, target, sigma_px, rng) -> dataset; cameras a, b ..; frames 00, 01 .."""
+    """Return a function (rig, target, sigma_px, rng) -> dataset; cameras a, b; frames 00, 01."""
     return _observe
 
 
@@ -77,9 +77,7 @@ def _make_rig(target: Target, n_cameras: int, n_boards: int) -> Scene:
     return Scene(tuple(lenses), tuple(cams_from_ref), tuple(boards))
 
 
-def _observe(
-    scene: Scene, target: Target, sigma_px: float, rng: np.random.Generator
-) -> Dataset:
+def _observe(scene: Scene, target: Target, sigma_px: float, rng: np.random.Generator) -> Dataset:
     views: dict[str, dict[str, BoardView]] = {}
     for index, (lens, cam_from_ref) in enumerate(
         zip(scene.lenses, scene.cams_from_ref, strict=True)

@@ -57,8 +57,9 @@ def test_one_rigid_rig_results(
         # 99.99 % of all draws lie within 4 sigma (of 16 corners a view: up to 2 degrees)
         assert (np.abs(error) <= 4 * np.sqrt(np.diag(place.cov))).all()
     for pair in solved.pairs.values():
-        # noise of 0.28 px, and some of the lenses; one view turned wrongly would add 10 px
-        assert pair.rms_px < 0.5
+        # Noise of 0.28 px, and as much of lenses from 16 corners a view; one view of nine turned
+        # wrongly (by half a board, 100 px) would give 10 px or more.
+        assert pair.rms_px < 1
     for frame in solved.dataset.frames:
         turns = [
             _turn_of(solved.dataset, observe(truth, target, 0, rng), target, camera, frame)

@@ -70,23 +70,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
     except SystemExit as stop:  # tyro has printed help (0) or what is wrong with the words (2)
         return int(stop.code or 0)
+    return _run(command)
+
+
+def _run(command: Command) -> int:
+    """Run a command; whatever its user can act on becomes one sentence."""
     try:
         return command.run()
     except CalichromeError as error:
-        return _cannot(str(error))
+        reason = str(error)
     except OSError as error:  # of files that nobody expected to be in the way
-        return _cannot(
+        reason = (
             f"{error.filename or 'a file'} cannot be read or written ({error.strerror or error}); "
             f"check the path, its permissions and the space on the disk"
         )
     except MemoryError as error:
-        return _cannot(f"there is not enough memory ({error}); use smaller pictures")
+        reason = f"there is not enough memory ({error}); use smaller pictures"
     except KeyboardInterrupt:
-        return _cannot("interrupted; what was being written is left out")
-
-
-def _cannot(reason: str) -> int:
-    """Say in one line why not."""
+        reason = "interrupted; what was being written is left out"
     print(f"calichrome: {' '.join(reason.split())}", file=sys.stderr)
     return 1
 

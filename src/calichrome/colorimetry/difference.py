@@ -58,7 +58,7 @@ def delta_e_2000(lab_a: FloatArray, lab_b: FloatArray) -> FloatArray:
     l_mean, c_mean = (l1 + l2) / 2, (c1 + c2) / 2
     h_sum = h1 + h2
     h_far = np.where(h_sum < 360, h_sum + 360, h_sum - 360)
-    h_mean = np.where(grey, h_sum, np.where(np.abs(turn) <= 180, h_sum, h_far) / 2)
+    h_mean = np.where(grey, h_sum, np.where(np.abs(turn) <= 180 + 1e-9, h_sum, h_far) / 2)
 
     def cosine(degrees: FloatArray) -> FloatArray:
         return np.asarray(np.cos(np.radians(degrees)))

@@ -39,14 +39,21 @@ def _srgb_encode(values: FloatArray) -> FloatArray:
     return np.where(low, values * 12.92, 1.055 * np.maximum(values, 0) ** (1 / 2.4) - 0.055)
 
 
+# BT.709 prints 1.099 and 0.018, which leaves a step of 2.5e-4 where the two parts should meet;
+# these are the exact solutions that ITU-R BT.2020-2, table 4, gives for the same curve.
+_REC709_ALPHA, _REC709_BETA = 1.09929682680944, 0.018053968510807
+
+
 def _rec709_linearise(values: FloatArray) -> FloatArray:
-    low = values < 0.081
-    return np.where(low, values / 4.5, ((np.maximum(values, 0) + 0.099) / 1.099) ** (1 / 0.45))
+    low = values < 4.5 * _REC709_BETA
+    raised = (np.maximum(values, 0) + _REC709_ALPHA - 1) / _REC709_ALPHA
+    return np.where(low, values / 4.5, raised ** (1 / 0.45))
 
 
 def _rec709_encode(values: FloatArray) -> FloatArray:
-    low = values < 0.018
-    return np.where(low, values * 4.5, 1.099 * np.maximum(values, 0) ** 0.45 - 0.099)
+    low = values < _REC709_BETA
+    raised = _REC709_ALPHA * np.maximum(values, 0) ** 0.45 - (_REC709_ALPHA - 1)
+    return np.where(low, values * 4.5, raised)
 
 
 ENCODINGS: Mapping[EncodingName, Encoding] = MappingProxyType(

@@ -7,9 +7,9 @@ from itertools import combinations
 import numpy as np
 
 from calichrome.colorimetry.difference import delta_e_2000_xyz
-from calichrome.colour.models import FITS, ColourModel
+from calichrome.colour.models import MODELS, ColourModel
 from calichrome.colour.samples import ColourSamples, disc_means
-from calichrome.core.arrays import FloatArray
+from calichrome.core.arrays import BoolArray, FloatArray
 from calichrome.target import Target
 
 __all__ = ["ColourSolution", "between_cameras", "fit_colour"]
@@ -59,7 +59,7 @@ def fit_colour(
     target
         Reference colours.
     model
-        A name in `FITS`.
+        A name in `MODELS`.
 
     Returns
     -------
@@ -69,19 +69,27 @@ def fit_colour(
     reference = target.marker_xyz_d65
     disc_rgb, n_views, n_rejected = disc_means(samples, len(reference))
     seen = n_views > 0
-    fit = FITS[model]
-    # one colour is left out at a time, and a fit needs one colour more than it has free per channel
+    # a fit needs as many colours as it has free parameters per channel, one more may be left out,
+    # and one more to show an error
+    least = MODELS[model].MIN_COLOURS + 2
     distinct = len(np.unique(reference[seen], axis=0))
-    if distinct < 5:
-        return f"only {distinct} different colours are usable, a {model} fit needs 5"
-    fitted = fit(disc_rgb[seen], reference[seen])
+    if distinct < least:
+        return f"only {distinct} different colours are usable, a {model} fit needs {least}"
+
+    def fit(chosen: BoolArray) -> ColourModel:
+        rgb, xyz = disc_rgb[chosen], reference[chosen]
+        if target.paper.white_xyz_d65 is not None:  # the white squares are one colour more
+            rgb = np.concatenate([rgb, samples.reference_light_rgb[None]])
+            xyz = np.concatenate([xyz, [target.paper.white_xyz_d65]])
+        return MODELS[model].fit(rgb, xyz)
+
+    fitted = fit(seen)
     disc_xyz = fitted.apply(disc_rgb)
     held_out = np.full(len(reference), np.nan)
     for index in np.flatnonzero(seen):
         # discs that repeat a colour go together, or the disc would be predicted by its twin
         same = (reference == reference[index]).all(axis=1)
-        rest = seen & ~same
-        predicted = fit(disc_rgb[rest], reference[rest]).apply(disc_rgb[index])
+        predicted = fit(seen & ~same).apply(disc_rgb[index])
         held_out[index] = delta_e_2000_xyz(predicted, reference[index])
     return ColourSolution(
         model=fitted,

@@ -27,7 +27,7 @@ def parse_length(text: str) -> float:
         raise ValueError(f"{text!r} is not a length: write a number and mm, cm, m or in, like 30mm")
     if match[2] is None:
         raise ValueError(f"{text!r} has no unit: write {text.strip()}mm, {text.strip()}cm ...")
-    metres = float(match[1]) * _METRES[match[2]]
+    metres = float(f"{float(match[1]) * _METRES[match[2]]:.15g}")  # 39.7mm is 0.0397, not ..06
     if not 0 < metres < math.inf:
         raise ValueError(f"{text!r} is not a positive length")
     return metres

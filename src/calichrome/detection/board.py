@@ -44,6 +44,7 @@ def detect_board(image: Image, target: Target) -> BoardView | NotFound:
             f"squares of {corner_spacing(grid).min():.0f} px are too small to measure; bring the "
             f"board nearer"
         )
+    grid = refine_corners(grey, grid)
     if not is_regular(grid):
         return NotFound(f"what looks like {nx}x{ny} corners is no even grid; is it another board?")
     if goes_on(grid, grey):
@@ -51,7 +52,7 @@ def detect_board(image: Image, target: Target) -> BoardView | NotFound:
             f"the board goes on beyond {nx}x{ny} inner corners; count them again and correct "
             f"--target"
         )
-    oriented = orient_grid(refine_corners(grey, grid), grey, target)
+    oriented = orient_grid(grid, grey, target)
     if isinstance(oriented, str):
         return NotFound(oriented)
     discs = None

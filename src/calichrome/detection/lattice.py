@@ -9,7 +9,7 @@ from calichrome.core.arrays import FloatArray
 from calichrome.core.homography import homographies_of_cells
 from calichrome.target import Target
 
-__all__ = ["OrientedGrid", "goes_on", "is_regular", "orient_grid"]
+__all__ = ["OrientedGrid", "goes_on", "is_regular", "no_order_fits", "orient_grid"]
 
 _MIN_CONTRAST = 5.0  # of 255 levels: below, "black" and "white" squares are noise
 
@@ -55,13 +55,14 @@ def orient_grid(grid: FloatArray, grey: NDArray[np.float32], target: Target) -> 
     wanted = -1 if target.top_left == "black" else 1
     matching = [turn for turn, sign in zip(fitting, signs, strict=True) if sign == wanted]
     if not matching:
-        return _no_order_fits(target)
+        return no_order_fits(target)
     # Of equal orders take the one that stands most upright: it reads like the printed sheet.
     upright = max(matching, key=lambda turn: float((turn[0, -1] - turn[0, 0])[0]))
     return OrientedGrid(np.ascontiguousarray(upright), half_turn_ambiguous=len(matching) > 1)
 
 
-def _no_order_fits(target: Target) -> str:
+def no_order_fits(target: Target) -> str:
+    """Say what is wrong where the corners are all there and the colours of the squares are not."""
     nx, ny = target.corners_xy
     seen = "white" if target.top_left == "black" else "black"
     if nx % 2 == 1 and nx != ny:

@@ -17,6 +17,11 @@ __all__ = ["MAX_MEGAPIXELS", "PICTURE_SUFFIXES", "read_image", "read_size", "wri
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 MAX_MEGAPIXELS = 200.0
+_HOLDS = {
+    ".png": (np.uint8, np.uint16),
+    ".tif": (np.uint8, np.uint16, np.float32),
+    ".tiff": (np.uint8, np.uint16, np.float32),
+}
 _MAX_BYTES = 4_000_000_000
 
 
@@ -122,17 +127,22 @@ def write_picture(
     ------
     OutputError
         If the file exists or cannot be written.
+    ValueError
+        If the format does not hold such pixels: OpenCV would write others in silence.
     """
+    suffix = path.suffix.lower()
+    if suffix not in PICTURE_SUFFIXES:
+        raise OutputError(f"{path} is no picture name; use .png, .jpg or .tif")
+    if pixels.dtype not in _HOLDS.get(suffix, (np.uint8,)):
+        raise ValueError(f"pixels: {suffix} does not hold {pixels.dtype}")
     ordered = pixels[:, :, ::-1] if pixels.ndim == 3 else pixels
     options: list[int] = []
-    if path.suffix.lower() in (".jpg", ".jpeg"):
+    if suffix in (".jpg", ".jpeg"):
         options = [
             cv2.IMWRITE_JPEG_QUALITY, jpeg_quality,
             cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
         ]  # fmt: skip
-    if path.suffix.lower() not in PICTURE_SUFFIXES:
-        raise OutputError(f"{path} is no picture name; use .png, .jpg or .tif")
-    ok, content = cv2.imencode(path.suffix, np.ascontiguousarray(ordered), options)
+    ok, content = cv2.imencode(suffix, np.ascontiguousarray(ordered), options)
     if not ok:
         raise OutputError(f"{path} cannot be encoded; use .png, .jpg or .tif")
     with writing_file(path, force=force) as temporary, temporary.open("wb") as stream:

@@ -97,7 +97,7 @@ def _read_exif(picture: PillowImage.Image) -> tuple[dict[str, float], int]:
     turned = _number(exif.get(ExifTags.Base.Orientation))
     return (
         {name: value for name, value in numbers.items() if value is not None},
-        int(turned) if turned in range(1, 9) else 1,
+        int(turned) if turned is not None and turned in range(1, 9) else 1,
     )
 
 

@@ -194,9 +194,12 @@ def _cov(row: Row, path: Path, line: int) -> list[float]:
 def _read_markers(path: Path) -> dict[tuple[str, str], DiscSamples]:
     table: dict[tuple[str, str], list[list[float]]] = defaultdict(list)
     for line, row in _read(path, _MARKERS):
-        table[row["camera"], row["frame"]].append(
-            [_float(row, key, path, line) for key in _MARKERS[2:]]
-        )
+        values = [_float(row, key, path, line) for key in _MARKERS[2:]]
+        for key in ("marker", "n_px"):
+            _integer(row, key, path, line)
+        if not all(map(math.isfinite, values[1:3])):
+            raise FileFormatError(f"{path}, line {line}: x and y must be finite numbers")
+        table[row["camera"], row["frame"]].append(values)
     return {key: _samples(np.array(rows)) for key, rows in table.items()}
 
 

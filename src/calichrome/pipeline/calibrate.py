@@ -1,6 +1,6 @@
 """From a recording to a rig: the one place that knows geometry and colour."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -14,7 +14,7 @@ from calichrome.core.arrays import FloatArray
 from calichrome.core.findings import Finding, finding
 from calichrome.core.pose import Pose
 from calichrome.detection import BoardToPixels, measure_discs
-from calichrome.errors import FileFormatError, RecordingError, TargetError
+from calichrome.errors import FileFormatError, RecordingError
 from calichrome.geometry.held_out import held_out_rms_px
 from calichrome.geometry.lenses import BrownConrady
 from calichrome.geometry.rig_graph import UncertainPose
@@ -44,7 +44,7 @@ from calichrome.pipeline.judge import (
     judge_unknown_encodings,
 )
 from calichrome.rig import Camera, CameraColour, Evidence, Pair, PlacedFrame, Rig
-from calichrome.target import Target, parse_target
+from calichrome.target import Target
 
 __all__ = ["Calibration", "CalibrationSettings", "calibrate", "calibrate_dataset", "run"]
 
@@ -118,9 +118,20 @@ def run(folder: Path, settings: CalibrationSettings, *, progress: Progress = sil
         max_megapixels=settings.max_megapixels,
     )
     target = find_target(recording, settings.target, settings.square)
+    _check_reference(settings, recording)
     detection = detect_recording(recording, target, progress=progress)
     require_boards(detection, recording, target)
     return _calibrate(detection, target, settings, recording, progress)
+
+
+def _check_reference(settings: CalibrationSettings, recording: Recording) -> None:
+    """Refuse an unknown reference camera before the long work."""
+    reference = settings.reference_camera or recording.settings.reference_camera
+    if reference is not None and reference not in recording.cameras:
+        raise RecordingError(
+            f"reference camera {reference} is not among {', '.join(recording.cameras)}; correct "
+            f"--reference-camera or recording.toml"
+        )
 
 
 def run_on_corners(
@@ -144,21 +155,48 @@ def run_on_corners(
     settings, progress
         As in `run`.
     """
-    sizes = dict(sizes_wh)
-    if folder is None:
-        if settings.target is None:
-            raise TargetError("the target is not known; give --target")
-        target = parse_target(settings.target)
-        recording = None
-    else:
-        recording = open_recording(folder, pattern=settings.pattern, cameras=settings.cameras)
-        target = find_target(recording, settings.target, settings.square)
-        sizes = _sizes_of(recording) | sizes
+    if not corners.is_file():
+        raise FileFormatError(f"{corners}: there is no such file; give NAME.csv of `detect`")
+    recording = None
+    if folder is not None:
+        recording = open_recording(
+            folder,
+            pattern=settings.pattern,
+            cameras=settings.cameras,
+            max_megapixels=settings.max_megapixels,
+        )
+        _check_reference(settings, recording)
+    target = find_target(recording, settings.target, settings.square)
+    sizes = ({} if recording is None else _sizes_of(recording)) | dict(sizes_wh)
     dataset = read_corners(corners, sizes, target.n_corners)
     if not dataset.views:
         raise FileFormatError(f"{corners}: holds no corners; run detect again")
+    dataset = _only(dataset, settings.cameras, corners)
+    _check_inside(dataset, corners)
     detection = Detection(dataset=dataset, rejected=(), findings=())
-    return _calibrate(detection, target, settings, None, progress)
+    return _calibrate(detection, target, settings, recording, progress, measure=False)
+
+
+def _only(dataset: Dataset, cameras: Sequence[str], corners: Path) -> Dataset:
+    missing = [camera for camera in cameras if camera not in dataset.views]
+    if missing:
+        raise FileFormatError(
+            f"{corners}: has no camera {', '.join(missing)}; there are {', '.join(dataset.views)}"
+        )
+    return dataset.with_views({name: dataset.views[name] for name in cameras or dataset.views})
+
+
+def _check_inside(dataset: Dataset, corners: Path) -> None:
+    """Refuse corners outside the picture: of another size, or not in pixels."""
+    for camera, views in dataset.views.items():
+        size_wh = dataset.sizes_wh[camera]
+        for frame, view in views.items():
+            # one pixel of grace, for other conventions of where pixel 0 is
+            if ((view.corners_px < -1) | (view.corners_px > size_wh)).any():
+                raise FileFormatError(
+                    f"{corners}: camera {camera}, frame {frame}: a corner lies outside the picture "
+                    f"of {size_wh[0]}x{size_wh[1]}; correct it or --size"
+                )
 
 
 def _sizes_of(recording: Recording) -> dict[str, tuple[int, int]]:
@@ -188,6 +226,8 @@ def _calibrate(
     settings: CalibrationSettings,
     recording: Recording | None,
     progress: Progress,
+    *,
+    measure: bool = True,
 ) -> Calibration:
     fixed = {}
     if recording is not None:
@@ -205,7 +245,9 @@ def _calibrate(
     dataset = solved.dataset
     encodings: dict[str, EncodingName] = dict.fromkeys(dataset.cameras, "srgb")
     if recording is not None and target.markers:
-        dataset, encodings = _measure_again(recording, solved, target, progress)
+        if measure:
+            dataset = _measure_again(recording, solved, target, progress)
+        encodings |= {camera: _encoding_of(recording, camera) for camera in dataset.cameras}
         findings += judge_unknown_encodings(recording, encodings)
     colours, colour_findings = _solve_colour(dataset, target, encodings)
     findings += colour_findings
@@ -243,12 +285,11 @@ def _calibrate(
 
 def _measure_again(
     recording: Recording, solved: RigSolution, target: Target, progress: Progress
-) -> tuple[Dataset, dict[str, EncodingName]]:
-    """Measure the discs where lens and pose say they are; also return each camera's encoding."""
+) -> Dataset:
+    """Measure the discs where lens and pose say they are."""
     n_views = sum(len(views) for views in solved.dataset.views.values())
     done = 0
     measured: dict[str, dict[str, BoardView]] = {}
-    encodings: dict[str, EncodingName] = {}
     for camera, views in solved.dataset.views.items():
         measured[camera] = {}
         poses = dict(zip(views, solved.cameras[camera].cams_from_board, strict=True))
@@ -256,15 +297,24 @@ def _measure_again(
             progress("measuring colours", done, n_views)
             image = recording.read(camera, frame)
             discs = None
-            if isinstance(image, Image):
-                encodings.setdefault(camera, image.encoding)
-                if image.is_colour:
-                    to_pixels = _projection(solved.cameras[camera].lens, poses[frame])
-                    discs = measure_discs(image, target, to_pixels)
+            if isinstance(image, Image) and image.is_colour:
+                to_pixels = _projection(solved.cameras[camera].lens, poses[frame])
+                discs = measure_discs(image, target, to_pixels)
             measured[camera][frame] = replace(view, discs=discs)
             done += 1
     progress("measuring colours", done, n_views)
-    return solved.dataset.with_views(measured), encodings
+    return solved.dataset.with_views(measured)
+
+
+def _encoding_of(recording: Recording, camera: str) -> EncodingName:
+    """Return the encoding stated for a camera, or that of its first readable colour picture."""
+    stated = recording.entry(camera).encoding
+    if stated is not None and stated != "unknown":
+        return stated
+    images = (recording.read(camera, frame) for frame in recording.files[camera])
+    colour = (item for item in images if isinstance(item, Image) and item.is_colour)
+    first = next(colour, None)
+    return "srgb" if first is None else first.encoding
 
 
 def _projection(lens: BrownConrady, cam_from_board: Pose) -> BoardToPixels:

@@ -135,11 +135,7 @@ def rectify(
     Rectification
         As written.
     """
-    for name in pair:
-        if name not in rig.cameras:
-            raise RecordingError(f"the rig has no camera {name}; it has {', '.join(rig.cameras)}")
-    if pair[0] == pair[1]:
-        raise RecordingError(f"--pair {pair[0]},{pair[1]} wants two different cameras; name another")
+    _check_pair(rig, pair)
     if space == "xyz-d65":
         raise RecordingError("rectify writes PNG, which holds no XYZ; use --colour linear-srgb")
     check_folder(output, force=force, inputs=[source])
@@ -172,7 +168,7 @@ def rectify(
                 path = recording.files[name][frame]
                 image = _read(cameras[name], path, recording.entry(name).bits)
                 picture = _apply(correctors[name], image, path)
-                write_picture(folder / name / f"{frame}.png", picture)
+                write_picture(folder / name / f"{frame}.png", _for_png(picture))
                 if len(shown) < 2:
                     shown.append((f"{name}, frame {frame}", picture))
         progress("rectifying", len(frames), len(frames))
@@ -185,9 +181,19 @@ def rectify(
     return rectification
 
 
+def _check_pair(rig: Rig, pair: tuple[str, str]) -> None:
+    for name in pair:
+        if name not in rig.cameras:
+            raise RecordingError(f"the rig has no camera {name}; it has {', '.join(rig.cameras)}")
+    if pair[0] == pair[1]:
+        raise RecordingError(f"--pair {pair[0]},{pair[1]} names one camera twice; name two")
+
+
 def _named(
     name: str, camera: Camera, space: OutputSpace, source_map: SourceMap | None
 ) -> Corrector:
+    if name == ".." or Path(name).name != name:  # it becomes a folder, and must stay inside OUT
+        raise RecordingError(f"camera {name!r} is no name for a folder; rename it in rig.json")
     try:
         return Corrector(camera, space, source_map)
     except CalichromeError as error:
@@ -256,9 +262,14 @@ def _suffix(path: Path, corrected: Pixels) -> str:
     return ".jpg" if path.suffix.lower() in (".jpg", ".jpeg") else ".png"
 
 
-def _rgb8(picture: Pixels) -> Pixels:
+def _for_png(picture: Pixels) -> Pixels:
     if picture.dtype == np.float32:
-        picture = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
+        picture = np.rint(np.clip(picture, 0, 1) * 65535).astype(np.uint16)
+    return picture
+
+
+def _rgb8(picture: Pixels) -> Pixels:
+    picture = _for_png(picture)
     if picture.dtype == np.uint16:
         picture = (picture // 257).astype(np.uint8)
     return picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)

@@ -10,7 +10,7 @@ import numpy as np
 
 from calichrome.core.findings import Finding, finding
 from calichrome.core.units import parse_lengths
-from calichrome.detection import detect_board, draw_overlay, seen_corner_counts
+from calichrome.detection import detect_board, draw_overlay, no_order_fits, seen_corner_counts
 from calichrome.errors import DetectionError, RecordingError, TargetError
 from calichrome.imaging import Recording, Unreadable, write_picture
 from calichrome.observations import BoardView, Dataset, NotFound
@@ -57,7 +57,7 @@ class _Seen:
     rotation_tag: int = 1
 
 
-def find_target(recording: Recording, target: str | None, square: str | None) -> Target:
+def find_target(recording: Recording | None, target: str | None, square: str | None) -> Target:
     """Take the target from the command line, recording.toml, or target.json of the recording.
 
     Raises
@@ -65,26 +65,34 @@ def find_target(recording: Recording, target: str | None, square: str | None) ->
     TargetError
         If there is none, or it is wrong.
     """
-    text = target or recording.settings.target
-    beside = recording.folder / "target.json"
-    if text is not None:
-        named = recording.folder / text
-        in_recording = target is None and not text.startswith("chessboard:") and named.is_file()
-        found = load_target(named) if in_recording else parse_target(text)
-    elif beside.is_file():
-        found = load_target(beside)
-    else:
-        raise TargetError(
-            f"{recording.folder}: the target is not known; put its target.json there, or give "
-            f"--target FILE or --target chessboard:NxM:SIZE"
-        )
-    size = square or recording.settings.square
+    found = _load_target(recording, target)
+    size = square or (None if recording is None else recording.settings.square)
     if size is None:
         return found
     try:
         return with_square_size(found, parse_lengths(size))
     except ValueError as error:
         raise TargetError(f"--square {error}") from error
+
+
+def _load_target(recording: Recording | None, target: str | None) -> Target:
+    if target is not None:
+        return parse_target(target)
+    if recording is None:
+        raise TargetError(
+            "the target is not known; give --target FILE or --target chessboard:NxM:SIZE"
+        )
+    beside = recording.folder / "target.json"
+    text = recording.settings.target
+    if text is not None:
+        named = recording.folder / text
+        return load_target(named) if named.is_file() else parse_target(text)
+    if beside.is_file():
+        return load_target(beside)
+    raise TargetError(
+        f"{recording.folder}: the target is not known; put its target.json there, or give "
+        f"--target FILE or --target chessboard:NxM:SIZE"
+    )
 
 
 def detect_recording(
@@ -154,7 +162,11 @@ def require_boards(detection: Detection, recording: Recording, target: Target) -
         if views:
             continue
         frames = list(recording.files[camera])
-        other = _other_board(recording, camera, frames[:_PROBED], target)
+        reasons = Counter(reason for cam, _, reason in detection.rejected if cam == camera)
+        likeliest = reasons.most_common(1)[0][0]
+        other = None
+        if likeliest != no_order_fits(target):  # else the counts are right
+            other = _other_board(recording, camera, frames[:_PROBED], target)
         if other is not None:
             frame, counts = other
             wanted = f"{target.corners_xy[0]}x{target.corners_xy[1]}"
@@ -162,13 +174,12 @@ def require_boards(detection: Detection, recording: Recording, target: Target) -
                 f"camera {camera}: picture {frame} shows a board of {counts[0]}x{counts[1]} inner "
                 f"corners, the target has {wanted}; correct --target"
             )
-        reasons = Counter(reason for cam, _, reason in detection.rejected if cam == camera)
         remedy = "leave it out with --cameras, or record it again"
         if len(detection.dataset.views) == 1:
             remedy = "look at the pictures, and check --target"
         raise DetectionError(
             f"camera {camera}: the board is in none of its {len(frames)} pictures (most often: "
-            f"{reasons.most_common(1)[0][0]}); {remedy}"
+            f"{likeliest}); {remedy}"
         )
 
 

@@ -167,7 +167,9 @@ def load_rig(path: Path | str) -> Rig:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         raise FileFormatError(f"{path}: {where}: {first['msg']}") from error
-    except (KeyError, TypeError, ValueError, TargetError) as error:
+    except KeyError as error:
+        raise FileFormatError(f"{path}: lacks {error}") from error
+    except (TypeError, ValueError, TargetError, FileFormatError) as error:
         raise FileFormatError(f"{path}: {error}") from error
 
 
@@ -297,7 +299,7 @@ def _colour(file: _ColourFile) -> CameraColour:
     if file.model not in MODELS:
         raise FileFormatError(f"colour model {file.model} is not known to this release")
     return CameraColour(
-        model=MODELS[file.model](file.parameters),
+        model=MODELS[file.model].from_json(file.parameters),
         encoding=file.encoding.name,
         white_rgb=np.array(file.white.rgb),
         delta_e_2000={

@@ -4,7 +4,7 @@ from calichrome.target.board import Marker, Paper, SquareColour, Target, chessbo
 from calichrome.target.check import TargetProblem, check_target
 from calichrome.target.colour_table import PaletteColour, read_colour_table
 from calichrome.target.design import design_target
-from calichrome.target.drawing import PAPERS_M, PrintedPage, parse_paper, write_pdf
+from calichrome.target.drawing import PrintedPage, write_pdf
 from calichrome.target.file import (
     load_target,
     parse_target,
@@ -14,6 +14,7 @@ from calichrome.target.file import (
 )
 from calichrome.target.layout import LayoutQuality, arrange_colours, layout_quality
 from calichrome.target.measure import measured_target
+from calichrome.target.page import PAPERS_M, parse_paper
 from calichrome.target.palette import colour_checker_palette, read_palette
 
 __all__ = [

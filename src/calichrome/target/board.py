@@ -31,6 +31,8 @@ class Marker:
         Colour of the square.
     xyz_d65 : (3,) float
         CIE 1931 2 degree tristimulus values under D65, Y = 1 for the perfect diffuser.
+    extra
+        Keys of the file that this release does not know; kept when it is written again.
     """
 
     square: tuple[int, int]
@@ -38,14 +40,19 @@ class Marker:
     diameter_m: float
     background: SquareColour
     xyz_d65: Triple
+    extra: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Paper:
-    """The paper and the black ink, as measured: XYZ under D65, Y = 1 for the perfect diffuser."""
+    """The paper and the black ink, as measured: XYZ under D65, Y = 1 for the perfect diffuser.
+
+    `extra` holds keys of the file that this release does not know.
+    """
 
     white_xyz_d65: Triple | None = None
     black_xyz_d65: Triple | None = None
+    extra: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -183,7 +190,9 @@ class Target:
 
     def square_colour(self, ix: int, iy: int) -> SquareColour:
         """Colour of square [ix, iy]."""
-        return "black" if self.black_squares[iy, ix] else "white"
+        # Not by `black_squares`: a file may hold thousands of discs, each asking for its square.
+        same = (ix + iy) % 2 == 0
+        return "black" if same == (self.top_left == "black") else "white"
 
 
 def chessboard(corners_xy: tuple[int, int], square_m: tuple[float, float]) -> Target:

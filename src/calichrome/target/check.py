@@ -15,8 +15,8 @@ from calichrome.target.design import (
     SMALLEST_SQUARE_PX,
     smallest_square_px,
 )
-from calichrome.target.drawing import smallest_white_margin_m
 from calichrome.target.layout import DISCS_IN_WINDOW, WINDOW, layout_quality
+from calichrome.target.page import smallest_white_margin_m
 from calichrome.target.palette import DARK_BELOW_L
 
 __all__ = ["TargetProblem", "check_target"]
@@ -162,8 +162,8 @@ def _discs(target: Target) -> Iterator[TargetProblem]:
         if names:
             yield _remark(
                 what.replace(" ", "_"),
-                f"{_listed(names)}: {what}, hard to tell from the square. Put colours with L* below "
-                f"{DARK_BELOW_L:g} on white squares and the others on black ones.",
+                f"{_listed(names)}: {what}, hard to tell from the square. Put colours with L* "
+                f"below {DARK_BELOW_L:g} on white squares and the others on black ones.",
             )
 
 
@@ -190,8 +190,8 @@ def _palette(target: Target) -> Iterator[TargetProblem]:
     if twins:
         yield _remark(
             "almost_equal_colours",
-            f"{_listed(twins)} are almost equal: they neither tell squares apart nor teach a colour "
-            f"model much. Replace one of each pair.",
+            f"{_listed(twins)} are almost equal: they neither tell squares apart nor teach a "
+            f"colour model much. Replace one of each pair.",
         )
 
 

@@ -156,8 +156,8 @@ def _columns(path: Path, header: Sequence[str]) -> dict[str, int]:
     found = [space for space, keys in _SPACES.items() if all(key in places for key in keys)]
     if "name" not in places or not found:
         raise TargetError(
-            f"{path}: the first line must name the columns name and X, Y, Z or name and L, a, b; it "
-            f"says {', '.join(title.strip() for title in header)[:200]!r}"
+            f"{path}: the first line must name the columns name and X, Y, Z or name and L, a, b; "
+            f"it says {', '.join(title.strip() for title in header)[:200]!r}"
         )
     wanted = ("name", "illuminant", "observer", *_SPACES[found[0]])
     return {key: place for key, place in places.items() if key in wanted}
@@ -187,8 +187,8 @@ def _white(where: str, illuminant: str, observer: str) -> FloatArray:
     white = _WHITES.get(illuminant.casefold().removeprefix("cie").strip())
     if white is None:
         raise TargetError(
-            f"{where}: values under {illuminant[:40]!r} cannot be converted to D65 without the spectra; "
-            f"let the instrument report D50 or D65"
+            f"{where}: values under {illuminant[:40]!r} cannot be converted to D65 without "
+            f"the spectra; let the instrument report D50 or D65"
         )
     return white
 
@@ -211,8 +211,8 @@ def _xyz_d65(where: str, row: dict[str, str], white: FloatArray, separator: str)
         xyz = adapt(xyz, white, D65)
     if xyz.min() < -0.005:
         raise TargetError(
-            f"{where}: {space} = {', '.join(f'{value:g}' for value in values)} would be a colour of "
-            f"negative light; check the columns and their order"
+            f"{where}: {space} = {', '.join(f'{value:g}' for value in values)} would be a colour "
+            f"of negative light; check the columns and their order"
         )
     # Rounding and adaptation leave deep colours a little below zero.
     x, y, z = (max(float(value), 0.0) for value in xyz)

@@ -31,9 +31,9 @@ LARGEST_DISC_RATIO = 0.62
 width w exceeds (0.5 - 0.354 ratio) s; blur takes another 1 + sigma_psf pixels. With w = 0.18 s and
 s = 20 px this leaves ratio <= 0.621 (`smallest_square_px` is the same rule, solved for s)."""
 
-SMALLEST_DISC_RATIO = 0.41
+SMALLEST_DISC_RATIO = 0.42
 """The 3x3 pixels from which a disc is grown reach 2.1 px from its centre, and the blur of its edge
-has died away 2 sigma_psf = 2 px further in: a radius of 4.1 px, at s = 20 px a ratio of 0.41."""
+has died away 2 sigma_psf = 2 px further in: a radius of 4.12 px, at s = 20 px a ratio of 0.412."""
 
 _MOST_ATTEMPTS = 12
 

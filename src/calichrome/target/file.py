@@ -6,6 +6,7 @@ code. Keys that are not known are kept.
 
 import json
 import re
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -24,6 +25,7 @@ __all__ = ["load_target", "parse_target", "target_from_json", "target_to_json", 
 FORMAT: Literal["calichrome.target"] = "calichrome.target"
 FORMAT_VERSION = 1
 _MAX_BYTES = 10_000_000
+_DERIVED = ("Lab_D65", "XYZ_D50", "Lab_D50")  # of a disc: written for readers, never read
 Triple = tuple[float, float, float]
 
 
@@ -111,17 +113,23 @@ def target_from_json(data: object) -> Target:
                 diameter_m=marker.diameter_m,
                 background=marker.background,
                 xyz_d65=_scaled(marker.XYZ_D65, 0.01),
+                extra=_unknown(marker, _DERIVED),
             )
             for marker in file.markers
         ),
         paper=Paper(
             white_xyz_d65=paper.white_XYZ_D65 and _scaled(paper.white_XYZ_D65, 0.01),
             black_xyz_d65=paper.black_XYZ_D65 and _scaled(paper.black_XYZ_D65, 0.01),
+            extra=_unknown(paper),
         ),
         square_size_measured=file.square_size_measured,
         colours_measured=file.colours_measured,
-        extra=file.model_extra or {},
+        extra=_unknown(file),
     )
+
+
+def _unknown(part: _Strict, known: Collection[str] = ()) -> dict[str, Any]:
+    return {key: value for key, value in (part.model_extra or {}).items() if key not in known}
 
 
 def target_to_json(target: Target) -> dict[str, Any]:
@@ -137,12 +145,13 @@ def target_to_json(target: Target) -> dict[str, Any]:
         "white_margin_m": target.white_margin_m,
         "colours_measured": target.colours_measured,
     }
-    paper = {
+    paper_xyz = {
         "white_XYZ_D65": target.paper.white_xyz_d65,
         "black_XYZ_D65": target.paper.black_xyz_d65,
     }
-    if any(paper.values()):
-        data["paper"] = {key: _listed(xyz, 100) for key, xyz in paper.items() if xyz}
+    paper = {key: _listed(xyz, 100) for key, xyz in paper_xyz.items() if xyz}
+    if paper or target.paper.extra:
+        data["paper"] = paper | dict(target.paper.extra)
     xyz_d65 = target.marker_xyz_d65
     xyz_d50 = adapt(xyz_d65, D65, D50)
     lab_d65, lab_d50 = lab_from_xyz(xyz_d65, D65), lab_from_xyz(xyz_d50, D50)
@@ -156,6 +165,7 @@ def target_to_json(target: Target) -> dict[str, Any]:
             "Lab_D65": _listed(lab_d65[index], 1),
             "XYZ_D50": _listed(xyz_d50[index], 100),
             "Lab_D50": _listed(lab_d50[index], 1),
+            **marker.extra,
         }
         for index, marker in enumerate(target.markers)
     ]
@@ -175,8 +185,8 @@ def parse_target(text: str) -> Target:
     match = re.fullmatch(r"chessboard:(\d{1,3})x(\d{1,3}):(.+)", text)
     if match is None:
         raise TargetError(
-            f"--target {text}: write chessboard:NxM:SIZE with N x M inner corners and the size of a "
-            f"square with its unit, like chessboard:9x6:30mm"
+            f"--target {text}: write chessboard:NxM:SIZE with N x M inner corners and the size of "
+            f"a square with its unit, like chessboard:9x6:30mm"
         )
     try:
         square_m = parse_lengths(match[3])

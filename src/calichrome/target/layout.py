@@ -275,7 +275,7 @@ class _Search:
         return n_equal
 
     def least_differing(self, seen: NDArray[np.generic]) -> int:
-        return self.cells.shape[1] - int(self.equal_squares(seen).max())
+        return int(self.cells.shape[1] - self.equal_squares(seen).max())
 
     def pairs_alike(self, seen: NDArray[np.generic], most_differing: int) -> IntArray:
         """Return the pairs of placements that differ in so few squares, shape (N, 2)."""
@@ -373,7 +373,7 @@ class _Search:
 
 
 def _shortfall(n_discs: IntArray) -> int:
-    return int((np.maximum(DISCS_IN_WINDOW - n_discs, 0) ** 2).sum())
+    return int(np.sum(np.maximum(DISCS_IN_WINDOW - n_discs, 0) ** 2))
 
 
 def _pick(values: IntArray, rng: np.random.Generator) -> np.int64:

@@ -1,6 +1,7 @@
 """What every colour model can do."""
 
-from typing import ClassVar, Protocol
+from collections.abc import Mapping
+from typing import ClassVar, Protocol, Self
 
 from calichrome.core.arrays import FloatArray
 
@@ -20,6 +21,16 @@ class ColourModel(Protocol):
 
     def apply(self, rgb_linear: FloatArray) -> FloatArray:
         """Map colours of shape (..., 3)."""
+        ...
+
+    @classmethod
+    def fit(cls, rgb_linear: FloatArray, xyz: FloatArray) -> Self:
+        """Fit to matching colours (N, 3), N >= `MIN_COLOURS`."""
+        ...
+
+    @classmethod
+    def from_json(cls, parameters: Mapping[str, object]) -> Self:
+        """Read back what `to_json` wrote."""
         ...
 
     def to_json(self) -> dict[str, object]:

@@ -1,0 +1,158 @@
+"""Real recordings, and rendered ones with their truth, through the command line."""
+
+import csv
+import json
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calichrome.core.arrays import FloatArray
+
+Cli = Callable[..., Any]
+Calibrate = Callable[..., dict[str, Any]]
+
+_LEFT_RIGHT = ["--pattern", "{camera:left|right}{frame}"]
+
+
+@pytest.fixture(scope="session")
+def render_truth(data: Path) -> dict[str, Any]:
+    truth: dict[str, Any] = json.loads((data / "render" / "truth.json").read_text())
+    return truth
+
+
+def test_opencv_stereo(cli: Cli, data: Path, tmp_path: Path) -> None:
+    """The published result of this recording (OpenCV's samples, after J.-Y. Bouguet)."""
+    words = ["--target", "chessboard:9x6:30mm", "--method", "pairwise", "--json"]
+    words += [*_LEFT_RIGHT, "--reference-camera", "left", "-o", str(tmp_path / "rig.json")]
+    outcome = cli("calibrate", data / "opencv_stereo", *words)
+    assert (outcome.code, outcome.err) == (0, "")
+    rig = outcome.json
+    assert rig == json.loads((tmp_path / "rig.json").read_text())
+    assert rig["trustworthy"]
+    assert [pair["shared_views"] for pair in rig["pairs"]] == [13]
+    left, right = rig["cameras"]["left"], rig["cameras"]["right"]
+    assert left["lens"]["fx"] == pytest.approx(533.09, abs=1)
+    assert left["lens"]["fy"] == pytest.approx(533.22, abs=1)
+    assert left["rms_px"] <= 0.20
+    found_mm = np.array(right["cam_from_ref"]["translation_m"]) * 1e3
+    # published -99.80, 1.12, 0.05 mm with its own uncertainty of 0.14, 0.11, 0.50 mm
+    np.testing.assert_array_less(np.abs(found_mm - [-99.80, 1.12, 0.05]), [0.14, 0.11, 0.50])
+    assert right["cam_from_ref"]["sigma_m"][0] > 0.4e-3  # 0.5 % of 99.8 mm: scale unverified
+
+
+def test_bumblebee(cli: Cli, data: Path, tmp_path: Path) -> None:
+    words = [*_LEFT_RIGHT, "--target", "chessboard:4x6:30mm", "--json"]
+    outcome = cli(
+        "calibrate", data / "boofcv_bumblebee2_chess", *words, "-o", tmp_path / "rig.json"
+    )
+    assert (outcome.code, outcome.err) == (0, "")
+    assert [pair["shared_views"] for pair in outcome.json["pairs"]] == [11]
+    assert all(camera["rms_px"] <= 0.10 for camera in outcome.json["cameras"].values())
+
+
+def test_trinocular(cli: Cli, data: Path, tmp_path: Path) -> None:
+    """Marks inside the white squares, and corner counts that are both odd."""
+    words = ["--pattern", "{camera}/{camera}{frame}", "--target", "chessboard:9x13:30mm"]
+    folder = data / "boofcv_trinocular_odd"
+    outcome = cli("calibrate", folder, *words, "--json", "-o", tmp_path / "rig.json")
+    assert (outcome.code, outcome.err) == (0, "")
+    rig = outcome.json
+    assert set(rig["cameras"]) == {"left", "middle", "right"}
+    assert all(camera["rms_px"] <= 0.13 for camera in rig["cameras"].values())
+    everything = {path.stem.removeprefix("left") for path in (folder / "left").iterdir()}
+    for name in rig["cameras"]:
+        seen = {frame for frame, placed in rig["frames"].items() if name in placed["cameras"]}
+        assert everything - seen <= {"25", "27"}
+
+
+def test_render_geometry(render_rig: dict[str, Any], render_truth: dict[str, Any]) -> None:
+    for name, camera in render_rig["cameras"].items():
+        true = render_truth["cameras"][name]
+        assert camera["lens"]["fx"] == pytest.approx(true["fx"], rel=0.002)
+        assert camera["lens"]["fy"] == pytest.approx(true["fy"], rel=0.002)
+        assert camera["n_views"] == 12
+        assert camera["held_out_rms_px"] is not None
+    cam0_from_world, cam1_from_world = (
+        np.array(render_truth["cameras"][name]["cam_from_world"]) for name in ("cam0", "cam1")
+    )
+    true_m = np.linalg.norm((cam1_from_world @ np.linalg.inv(cam0_from_world))[:3, 3])
+    found_m = np.linalg.norm(render_rig["cameras"]["cam1"]["cam_from_ref"]["translation_m"])
+    assert found_m == pytest.approx(true_m, rel=0.003)
+
+
+def test_render_colour(render_rig: dict[str, Any]) -> None:
+    for camera in render_rig["cameras"].values():
+        errors = camera["colour"]["delta_e_2000"]
+        assert 0 < errors["fit_mean"] <= 1.1
+        assert errors["fit_mean"] < errors["held_out_mean"] < errors["held_out_p95"]
+    between = render_rig["inter_camera_delta_e_2000"]
+    # a 3x3 of each camera leaves metamerism; both are within 1.1 of one target
+    assert 0 < between["mean"] < 1.1
+    assert between["mean"] < between["p95"] < 2.2
+    codes = {item["code"] for item in render_rig["findings"]}
+    assert not codes & {"exposure_changes", "encoding_doubtful", "unsynchronised"}
+
+
+def _detected(path: Path, n_corners: int) -> dict[tuple[str, str], FloatArray]:
+    views: dict[tuple[str, str], FloatArray] = defaultdict(lambda: np.full((n_corners, 2), np.nan))
+    with path.open(newline="") as stream:
+        for row in csv.DictReader(stream):
+            key = row["camera"], row["frame"]
+            views[key][int(row["corner"])] = float(row["x"]), float(row["y"])
+    return views
+
+
+@pytest.mark.parametrize(("name", "n_views"), [("recording", 24), ("recording_linear16", 2)])
+def test_render_corners(
+    cli: Cli,
+    data: Path,
+    render_truth: dict[str, Any],
+    tmp_path: Path,
+    name: str,
+    n_views: int,
+) -> None:
+    """Right ids, and a tenth of a pixel, in encoded 8-bit pictures and in linear 16-bit ones."""
+    outcome = cli("detect", data / "render" / name, "-o", tmp_path / "c.csv", "--json")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert outcome.json["rejected"] == []
+    views = _detected(tmp_path / "c.csv", 40)
+    assert len(views) == n_views
+    true = {
+        (image["camera"], f"{image['pose']:03d}"): np.array(image["corners_px"], dtype=np.float64)
+        for image in render_truth["images"]
+    }
+    for key, corners in views.items():
+        error_px = np.linalg.norm(corners - true[key].reshape(-1, 2), axis=1)
+        assert np.sqrt((error_px**2).mean()) < 0.1
+        assert error_px.max() < 1  # no single corner went astray, and none is absent
+
+
+_WATCHED = """
+import os, sys
+opened = []
+sys.addaudithook(
+    lambda event, what: opened.append(os.fspath(what[0]))
+    if event == "open" and isinstance(what[0], (str, bytes, os.PathLike)) else None
+)
+code = main(sys.argv[1:])
+names = {os.path.basename(os.fsdecode(path)) for path in opened}
+assert "target.json" in names and "000.png" in names, "the hook sees nothing"
+print(code, "truth.json" in names)
+"""
+
+
+@pytest.mark.parametrize("command", ["calibrate", "detect"])
+def test_nothing_reads_the_truth(simulated: Path, tmp_path: Path, command: str) -> None:
+    """A truth.json lies beside the pictures; no command that solves may open it."""
+    assert (simulated / "truth.json").is_file()
+    words = [command, str(simulated), "--cameras", "cam0", "-o", str(tmp_path / "out.json")]
+    run = [sys.executable, "-c", _WATCHED, *words]
+    done = subprocess.run(run, capture_output=True, text=True, check=False)  # noqa: S603
+    assert done.stderr == ""
+    assert done.stdout.splitlines()[-1] == "0 False"
