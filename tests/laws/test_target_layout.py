@@ -21,7 +21,7 @@ FEWEST_DISCS = 6
 LEAST_RESIDUAL = 0.15
 
 
-@pytest.fixture(scope="module", params=[(9, 6), (10, 9)], ids=["9x6", "10x9"])
+@pytest.fixture(scope="module", params=[(9, 6), (10, 9), (14, 9)], ids=["9x6", "10x9", "14x9"])
 def target(request: pytest.FixtureRequest, standard_target: Target) -> Target:
     if request.param == standard_target.squares:
         return standard_target

@@ -217,6 +217,7 @@ def test_colours_are_srgb_and_tagged(printed: Printed, tmp_path: Path) -> None:
         assert stream["/N"] == 3
         profile = ImageCms.ImageCmsProfile(io.BytesIO(stream.get_data()))
         assert "sRGB" in ImageCms.getProfileDescription(profile)
+        assert int.from_bytes(stream.get_data()[24:26]) == 2000  # not the year of this run
     if not target.markers:
         return
     # littleCMS reads the fill colours through that profile as Lab of D50: an oracle for all of it
@@ -298,6 +299,13 @@ def test_the_printable_margin_is_respected(board: Target, tmp_path: Path) -> Non
     for points in drawn.ink:
         assert (points >= 30 - _EXACT_MM).all()
         assert (points <= drawn.size - 30 + _EXACT_MM).all()
+
+
+def test_white_of_a_third_of_a_square_is_kept(board: Target, tmp_path: Path) -> None:
+    # 252 mm of squares and 9.33 mm on both sides; the ruler is below
+    assert write_pdf(board, tmp_path / "board.pdf", paper=(0.271, 0.209)).ruler_m == 0.2
+    with pytest.raises(TargetError, match=r"9\.3 mm of white"):
+        write_pdf(board, tmp_path / "board.pdf", paper=(0.270, 0.209))
 
 
 @pytest.mark.parametrize(
