@@ -1,6 +1,6 @@
 """Every finding fires where it should, and only there.
 
-Geometry and colour are judged from observations without pictures; what is said of files, from files.
+Geometry and colour are judged from observations without pictures, what is said of files from files.
 """
 
 import json

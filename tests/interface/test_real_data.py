@@ -140,6 +140,8 @@ sys.addaudithook(
     lambda event, what: opened.append(os.fspath(what[0]))
     if event == "open" and isinstance(what[0], (str, bytes, os.PathLike)) else None
 )
+from calichrome.cli.main import main
+
 code = main(sys.argv[1:])
 names = {os.path.basename(os.fsdecode(path)) for path in opened}
 assert "target.json" in names and "000.png" in names, "the hook sees nothing"

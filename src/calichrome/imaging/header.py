@@ -9,10 +9,11 @@ import math
 import struct
 import threading
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 
-from PIL import ExifTags, UnidentifiedImageError
+from PIL import ExifTags, TiffImagePlugin, UnidentifiedImageError
 from PIL import Image as PillowImage
 
 __all__ = ["DAMAGED", "Header", "Unreadable", "read_header"]
@@ -20,8 +21,6 @@ __all__ = ["DAMAGED", "Header", "Unreadable", "read_header"]
 DAMAGED = "the file is cut off or damaged; copy it again"
 _FORMATS = ("PNG", "JPEG", "TIFF")
 _PILLOW = threading.Lock()
-_PILLOW_MEGAPIXELS = 2 * (PillowImage.MAX_IMAGE_PIXELS or 0) / 1e6
-"""Pillow itself opens nothing larger; its limit belongs to the process and is left alone."""
 _EXPOSURE_TAGS = {
     ExifTags.Base.ExposureTime: "exposure_s",
     ExifTags.Base.FNumber: "f_number",
@@ -57,9 +56,7 @@ def read_header(content: bytes, max_megapixels: float) -> Header | Unreadable:
     max_megapixels
         Larger pictures are refused before they are decoded.
     """
-    # Filters of warnings belong to the process, and recordings are read by several threads.
-    with _PILLOW, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of size, which we refuse, and of EXIF, which we check
+    with _quiet_pillow():
         try:
             picture = PillowImage.open(io.BytesIO(content), formats=_FORMATS)
             megapixels = picture.width * picture.height / 1e6
@@ -69,9 +66,7 @@ def read_header(content: bytes, max_megapixels: float) -> Header | Unreadable:
                 return Unreadable(DAMAGED)
             exposure, rotation_tag = _read_exif(picture)
         except UnidentifiedImageError:
-            return Unreadable("is not a PNG, JPEG or TIFF picture; remove it")
-        except PillowImage.DecompressionBombError:
-            return _too_large(min(max_megapixels, _PILLOW_MEGAPIXELS))
+            return _read_tiff(content, max_megapixels)
         except (OSError, ValueError, SyntaxError, EOFError):
             return Unreadable(DAMAGED)
     return Header(
@@ -80,6 +75,50 @@ def read_header(content: bytes, max_megapixels: float) -> Header | Unreadable:
         rotation_tag=rotation_tag,
         exposure=exposure,
     )
+
+
+@contextmanager
+def _quiet_pillow() -> Iterator[None]:
+    """Let Pillow neither refuse nor warn: of size, which we check, and of EXIF, which may be bad.
+
+    Its limit and the filters of warnings belong to the process: one thread at a time.
+    """
+    with _PILLOW, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        limit, PillowImage.MAX_IMAGE_PIXELS = PillowImage.MAX_IMAGE_PIXELS, None
+        try:
+            yield
+        finally:
+            PillowImage.MAX_IMAGE_PIXELS = limit
+
+
+def _read_tiff(content: bytes, max_megapixels: float) -> Header | Unreadable:
+    """Read the header of a TIFF that Pillow does not decode, like RGB in float32."""
+    stream = io.BytesIO(content)
+    try:
+        directory = TiffImagePlugin.ImageFileDirectory_v2(stream.read(8))
+        stream.seek(directory.next)
+        directory.load(stream)
+    except (OSError, ValueError, SyntaxError, EOFError, struct.error):
+        return Unreadable("is not a PNG, JPEG or TIFF picture; remove it")
+    width, height, turned = (
+        _number(directory.get(tag))
+        for tag in (ExifTags.Base.ImageWidth, ExifTags.Base.ImageLength, ExifTags.Base.Orientation)
+    )
+    if width is None or height is None or min(width, height) < 1:
+        return Unreadable(DAMAGED)
+    if width * height > max_megapixels * 1e6:
+        return _too_large(max_megapixels)
+    return Header(
+        size_wh=(int(width), int(height)),
+        file_format="TIFF",
+        rotation_tag=_as_rotation(turned),
+        exposure={},
+    )
+
+
+def _as_rotation(turned: float | None) -> int:
+    return int(turned) if turned is not None and turned in range(1, 9) else 1
 
 
 def _too_large(limit: float) -> Unreadable:
@@ -97,7 +136,7 @@ def _read_exif(picture: PillowImage.Image) -> tuple[dict[str, float], int]:
     turned = _number(exif.get(ExifTags.Base.Orientation))
     return (
         {name: value for name, value in numbers.items() if value is not None},
-        int(turned) if turned is not None and turned in range(1, 9) else 1,
+        _as_rotation(turned),
     )
 
 
