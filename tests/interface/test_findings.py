@@ -392,6 +392,23 @@ def test_encoding_doubtful_does_not_fire(
     assert not _of(rig, "encoding_doubtful")
 
 
+def test_target_contradicted_fires(colour_board: Target, rng: np.random.Generator) -> None:
+    """A mirrored picture of a colour board gives other discs in the same places."""
+    discs = _discs(colour_board)
+    mixed = replace(discs, mean_rgb=discs.mean_rgb[::-1].copy())
+    (item, *_) = _judged_colour(_with_discs(colour_board, rng, {"a": [mixed]}), colour_board)
+    assert (item.code, item.severity) == ("target_contradicted", "critical")
+
+
+def test_target_contradicted_does_not_fire(
+    quiet_colour: tuple[Finding, ...], colour_board: Target, rng: np.random.Generator
+) -> None:
+    """Nor does it for a wrong encoding, which is another finding."""
+    assert "target_contradicted" not in _codes(quiet_colour)
+    dataset = _with_discs(colour_board, rng, {"a": [_discs(colour_board, gamma=0.45)]})
+    assert "target_contradicted" not in _codes(_judged_colour(dataset, colour_board))
+
+
 # --- files ----------------------------------------------------------------------------------------
 
 

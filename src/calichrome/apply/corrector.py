@@ -1,5 +1,6 @@
 """One camera's correction, compiled once: geometry, then colour."""
 
+from functools import cache
 from typing import Literal
 
 import cv2
@@ -101,9 +102,6 @@ class Corrector:
         self._source_map = source_map
         self._colour = camera.colour
         self._size_wh = camera.size_wh
-        self._linear_table: SourceMap | None = None
-        if camera.colour is not None and space != "none":
-            self._linear_table = _linear_table(camera.colour.encoding)
 
     def apply(self, image: Image) -> Pixels:
         """Return the corrected pixels.
@@ -130,8 +128,8 @@ class Corrector:
             linear = linearise(self._resample(pixels).astype(np.float64), image.encoding)
         else:
             widened = _widen(pixels, image.full_scale)
-            assert self._linear_table is not None  # noqa: S101 (set whenever a space is asked for)
-            linear = self._linear_table[self._resample(widened)].astype(np.float64)
+            table = _linear_table(image.encoding)
+            linear = table[self._resample(widened)].astype(np.float64)
         assert self._colour is not None  # noqa: S101 (checked at construction)
         xyz = self._colour.xyz_from_rgb(linear)
         return self._store(xyz, pixels.dtype)
@@ -168,5 +166,6 @@ def _widen(pixels: Pixels, full_scale: float) -> NDArray[np.uint16]:
     return np.asarray(np.rint(stretched), dtype=np.uint16)
 
 
+@cache
 def _linear_table(encoding: EncodingName) -> SourceMap:
     return linearise(np.arange(_ENTRIES) / (_ENTRIES - 1), encoding).astype(np.float32)

@@ -31,8 +31,8 @@ class Calibrate(Command):
     )
     corners: Path | None = None
     """Use these corners (NAME.csv of `detect`) instead of detecting."""
-    size: tuple[str, ...] = ()
-    """Picture sizes for --corners without a recording, like left=640x480."""
+    size: tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]] = ()
+    """Picture sizes for --corners without a recording, like left=640x480, for each camera."""
     force: Flag = False
     """Replace existing outputs."""
 
@@ -45,7 +45,7 @@ class Calibrate(Command):
         settings = replace(self.settings, cameras=names_from(self.settings.cameras))
         with self.progress() as progress:
             if self.corners is not None:
-                sizes = dict(parse_size(text) for text in self.size)
+                sizes = dict(parse_size(text) for texts in self.size for text in texts)
                 done = run_on_corners(
                     self.corners, self.recording, sizes, settings, progress=progress
                 )

@@ -38,7 +38,7 @@ class Correct(Command):
     def run(self) -> int:
         """Correct and report."""
         with self.progress() as progress:
-            written = correct(
+            written, skipped = correct(
                 load_rig(self.rig),
                 self.source,
                 self.output,
@@ -49,8 +49,13 @@ class Correct(Command):
                 force=self.force,
                 progress=progress,
             )
+        lines = [f"Wrote {len(written)} picture{'' if len(written) == 1 else 's'} to {self.output}"]
+        lines += [f"  left out {path}: {reason}" for path, reason in skipped]
         self.show(
-            f"Wrote {len(written)} picture{'' if len(written) == 1 else 's'} to {self.output}",
-            {"written": [str(path) for path in written]},
+            "\n".join(lines),
+            {
+                "written": [str(path) for path in written],
+                "skipped": [{"file": str(path), "reason": reason} for path, reason in skipped],
+            },
         )
         return 0

@@ -13,6 +13,7 @@ from calichrome.cli.terminal import Command, Flag, Output
 from calichrome.colorimetry.encoding import encode
 from calichrome.core.arrays import FloatArray, UInt8Array
 from calichrome.core.files import check_folder, writing_folder
+from calichrome.errors import RecordingError
 from calichrome.imaging import Image, Recording, write_picture
 from calichrome.pipeline.calibrate import CalibrationSettings, run
 from calichrome.pipeline.correct import rectify
@@ -38,6 +39,8 @@ class Demo(Command):
 
     def run(self) -> int:
         """Render, calibrate, compare, and draw."""
+        if self.seed < 0:
+            raise RecordingError(f"--seed {self.seed}: give 0 or more")
         check_folder(self.output, force=self.force)
         with self.progress() as progress, writing_folder(self.output, force=self.force) as folder:
             scene = demo_scene(standard_target(), self.seed)

@@ -1,5 +1,6 @@
 """The command ``calichrome``."""
 
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ __all__ = ["main"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Target(Command):
+class _Target:
     """Design, check or measure a target: make | check | measure."""
 
     action: (
@@ -61,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"calichrome {__version__}")
         return 0
     try:
-        command: Command = tyro.cli(
+        command: Command | _Target = tyro.cli(
             _Commands,
             prog="calichrome",
             description="Calibrate camera rigs in geometry and colour from one printed board.",
@@ -73,12 +74,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     return _run(command)
 
 
-def _run(command: Command) -> int:
+def _run(command: Command | _Target) -> int:
     """Run a command; whatever its user can act on becomes one sentence."""
     try:
         return command.run()
     except CalichromeError as error:
         reason = str(error)
+    except BrokenPipeError:  # the reader, like head, has seen enough
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
+        return 0
     except OSError as error:  # of files that nobody expected to be in the way
         reason = (
             f"{error.filename or 'a file'} cannot be read or written ({error.strerror or error}); "

@@ -1,5 +1,6 @@
 """``calichrome simulate``."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -35,6 +36,8 @@ class Simulate(Command):
 
     def run(self) -> int:
         """Render and write."""
+        if self.seed < 0 or not 0 <= self.noise < math.inf:
+            raise RecordingError(f"--seed {self.seed} --noise {self.noise}: give 0 or more")
         target = standard_target() if self.target is None else load_target(self.target)
         scene = random_scene(
             target,

@@ -83,6 +83,8 @@ class TargetMake(Command):
 
     def run(self) -> int:
         """Design, draw and write both files."""
+        if self.seed < 0:
+            raise TargetError(f"--seed {self.seed}: give 0 or more")
         page_path = self.output.with_suffix(".pdf")
         for path in (self.output, page_path):
             check_output(path, force=self.force)

@@ -15,6 +15,9 @@ from calichrome.target import Target
 __all__ = ["ColourSolution", "between_cameras", "fit_colour"]
 
 
+_GREY = 1e-6  # of full scale, between channels: below the rounding of any file
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ColourSolution:
     """A camera's colour.
@@ -69,6 +72,8 @@ def fit_colour(
     reference = target.marker_xyz_d65
     disc_rgb, n_views, n_rejected = disc_means(samples, len(reference))
     seen = n_views > 0
+    if seen.any() and np.ptp(disc_rgb[seen], axis=1).max() < _GREY:
+        return "its pictures are grey: all three channels are equal"
     # a fit needs as many colours as it has free parameters per channel, one more may be left out,
     # and one more to show an error
     least = MODELS[model].MIN_COLOURS + 2

@@ -57,7 +57,7 @@ def writing_folder(
 ) -> Iterator[Path]:
     """Yield a temporary folder beside `path`; put it in place on success.
 
-    An existing folder is replaced as a whole, and only with `force`; an empty one always.
+    An existing folder is written into only with `force`; files that are not written again stay.
 
     Parameters
     ----------
@@ -85,16 +85,23 @@ def writing_folder(
         os.umask(umask)
         temporary.chmod(0o777 & ~umask)
         if path.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{path.name}-old-", dir=path.parent))
-            path.replace(old / path.name)
-            temporary.replace(path)
-            shutil.rmtree(old)
+            _move_into(temporary, path)
         else:
             temporary.replace(path)
     except OSError as error:
         raise _cannot_write(path, error) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _move_into(new: Path, existing: Path) -> None:
+    """Put every file in its place; what else the existing folder holds is not ours to remove."""
+    for item in sorted(new.rglob("*")):
+        place = existing / item.relative_to(new)
+        if item.is_dir():
+            place.mkdir(exist_ok=True)
+        else:
+            item.replace(place)
 
 
 def _cannot_write(path: Path, error: OSError) -> OutputError:

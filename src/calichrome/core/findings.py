@@ -26,6 +26,7 @@ SEVERITIES: Mapping[str, Severity] = MappingProxyType(
         "unsynchronised": "critical",
         "weak_geometry": "critical",
         "poor_fit": "critical",
+        "target_contradicted": "critical",
         "views_disagree": "critical",
         "unreadable_frame": "warning",
         "no_board_frame": "note",

@@ -95,6 +95,8 @@ def solve_camera(
             f"{', '.join(sorted(unknown))} is no parameter of {BrownConrady.MODEL}; its names are "
             f"{', '.join(BrownConrady.NAMES)}"
         )
+    if min(fixed.get("fx", 1.0), fixed.get("fy", 1.0)) <= 0:
+        raise SolveError("a fixed focal length must be positive; correct fx, fy in recording.toml")
     free = np.array([name not in fixed for name in BrownConrady.NAMES])
     sightings = Sightings.collect([(0, index, view) for index, view in enumerate(views)])
     lenses = [start] if start is not None else start_lenses(views, size_wh)

@@ -103,9 +103,7 @@ def _to_rgb(decoded: Pixels) -> Pixels:
         return decoded
     if decoded.shape[2] < 3:
         return np.ascontiguousarray(decoded[:, :, 0])
-    rgb = np.ascontiguousarray(decoded[:, :, 2::-1])
-    grey = np.array_equal(rgb[:, :, 0], rgb[:, :, 1]) and np.array_equal(rgb[:, :, 0], rgb[:, :, 2])
-    return np.ascontiguousarray(rgb[:, :, 0]) if grey else rgb
+    return np.ascontiguousarray(decoded[:, :, 2::-1])
 
 
 def write_picture(

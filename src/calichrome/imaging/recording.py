@@ -85,6 +85,7 @@ def open_recording(
     pattern: str | None = None,
     cameras: Sequence[str] = (),
     max_megapixels: float = MAX_MEGAPIXELS,
+    synchronous: bool = True,
 ) -> Recording:
     """Find the cameras and frames of a folder.
 
@@ -98,6 +99,8 @@ def open_recording(
         Use only these cameras; empty: all.
     max_megapixels
         Refuse larger pictures before decoding.
+    synchronous
+        Refuse several cameras without a common frame.
 
     Raises
     ------
@@ -130,7 +133,8 @@ def open_recording(
     files = _without_background(files)
     _check_entries(settings, files, folder)
     files = _only(files, cameras, folder)
-    _check_common_frames(files, folder)
+    if synchronous:
+        _check_common_frames(files, folder)
     used = {path for frames in files.values() for path in frames.values()}
     return Recording(
         folder=folder,
@@ -212,20 +216,25 @@ def _read_flat(folder: Path, paths: Sequence[Path]) -> tuple[Files, str]:
 
 
 def _camera_in_name(paths: Sequence[Path]) -> tuple[str, list[str]] | None:
-    """Whether names like left01, right01 or 01_left hold a camera; the pattern and the cameras."""
+    """Whether names hold a camera, like left01 or frame_01_left; the pattern and the cameras.
+
+    Cameras have letters in their names, at least two pictures, and share more than one frame:
+    dates and times do not.
+    """
     readings = (
         (r"(?P<camera>.*?\D)(?P<frame>\d+)", "{{camera:{0}}}{{frame}}"),
-        (r"(?P<frame>\d+)(?P<camera>\D.*)", "{{frame}}{{camera:{0}}}"),
+        (r"(?P<frame>.*\d)(?P<camera>\D+)", "{{frame}}{{camera:{0}}}"),
     )
     for expression, text in readings:
         frames = defaultdict(set)
         for path in paths:
             found = re.fullmatch(expression, path.stem)
-            if found is not None:
+            if found is not None and re.search(r"[^\W\d_]", found["camera"]):
                 frames[found["camera"]].add(found["frame"])
-        shared = Counter(frame for names in frames.values() for frame in names)
-        if len(frames) > 1 and max(shared.values()) > 1:
-            return text.format("|".join(sorted(frames))), sorted(frames)
+        cameras = sorted(camera for camera, own in frames.items() if len(own) > 1)
+        shared = Counter(frame for camera in cameras for frame in frames[camera])
+        if len(cameras) > 1 and sum(count > 1 for count in shared.values()) > 1:
+            return text.format("|".join(cameras)), cameras
     return None
 
 

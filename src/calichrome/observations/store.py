@@ -134,6 +134,7 @@ def read_corners(path: Path, sizes_wh: Mapping[str, tuple[int, int]], n_corners:
                 f"{path}: the picture size of camera {camera} is unknown; give the recording or "
                 f"--size {camera}=WIDTHxHEIGHT"
             )
+        rows.sort(key=lambda row: row[0])
         ids = [corner for corner, _ in rows]
         if len(set(ids)) != len(ids):
             raise FileFormatError(f"{path}: camera {camera}, frame {frame}: a corner stands twice")

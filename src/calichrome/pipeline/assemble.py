@@ -18,12 +18,13 @@ __all__ = ["assemble_rig", "gather_evidence"]
 _SCALE_SIGMA = 0.005  # relative: what a printer driver's "fit to page" leaves unnoticed
 
 
-def assemble_rig(
+def assemble_rig(  # noqa: PLR0917 (one argument for each part that was solved)
     solved: RigSolution,
     target: Target,
     held_out: Mapping[str, float | None],
     colours: Mapping[str, ColourSolution],
-    encodings: Mapping[str, EncodingName],
+    encodings: Mapping[str, EncodingName | None],
+    bits: Mapping[str, int | None],
     findings: Sequence[Finding],
 ) -> Rig:
     """Return the rig.
@@ -38,14 +39,18 @@ def assemble_rig(
         Held-out error by camera, pixels.
     colours
         By camera; cameras without colour are absent.
-    encodings
-        By camera.
+    encodings, bits
+        By camera; None where no picture was seen, or nothing was stated.
     findings
         All of them.
     """
     cameras = {
         camera: _camera(
-            camera, solved, target, held_out[camera], colours.get(camera), encodings[camera]
+            camera,
+            solved,
+            target,
+            held_out[camera],
+            _camera_colour(colours.get(camera), encodings[camera], bits[camera]),
         )
         for camera in solved.cameras
     }
@@ -73,15 +78,15 @@ def _camera(
     solved: RigSolution,
     target: Target,
     held_out: float | None,
-    colour: ColourSolution | None,
-    encoding: EncodingName,
+    colour: CameraColour | None,
 ) -> Camera:
     solution = solved.cameras[camera]
     cov = solution.lens_cov
     sigmas = None if cov is None else np.sqrt(np.diag(cov))
     names = solution.lens.NAMES
     place = solved.graph.cams_from_ref[camera]
-    sigma_rad, sigma_m = _pose_sigmas(place, scale_known=target.square_size_measured)
+    pose_cov = _pose_cov(place, scale_known=target.square_size_measured)
+    pose_sigmas = None if pose_cov is None else np.sqrt(np.diag(pose_cov))
     return Camera(
         size_wh=solved.dataset.sizes_wh[camera],
         lens=solution.lens,
@@ -90,33 +95,37 @@ def _camera(
             for index, name in enumerate(names)
         },
         cam_from_ref=place.pose,
-        sigma_rad=sigma_rad,
-        sigma_m=sigma_m,
+        sigma_rad=None if pose_sigmas is None else pose_sigmas[:3],
+        sigma_m=None if pose_sigmas is None else pose_sigmas[3:],
+        cov_m=None if pose_cov is None else pose_cov[3:, 3:],
         n_views=len(solution.cams_from_board),
         n_corners=sum(len(part) for part in solution.residuals_px),
         rms_px=solution.rms_px,
         held_out_rms_px=held_out,
-        colour=None if colour is None else _camera_colour(colour, encoding),
+        colour=colour,
     )
 
 
-def _pose_sigmas(
-    place: UncertainPose, *, scale_known: bool
-) -> tuple[FloatArray | None, FloatArray | None]:
+def _pose_cov(place: UncertainPose, *, scale_known: bool) -> FloatArray | None:
+    """Covariance of (omega, tau); an unverified scale stretches all lengths by one factor."""
     if place.cov is None:
-        return None, None
-    variance = np.diag(place.cov).copy()
+        return None
+    cov = place.cov.copy()
     if not scale_known:
-        variance[3:] += (_SCALE_SIGMA * place.pose.trans_m) ** 2
-    sigmas = np.sqrt(variance)
-    return sigmas[:3], sigmas[3:]
+        cov[3:, 3:] += _SCALE_SIGMA**2 * np.outer(place.pose.trans_m, place.pose.trans_m)
+    return cov
 
 
-def _camera_colour(solution: ColourSolution, encoding: EncodingName) -> CameraColour:
+def _camera_colour(
+    solution: ColourSolution | None, encoding: EncodingName | None, bits: int | None
+) -> CameraColour | None:
+    if solution is None:
+        return None
     held_out = solution.held_out_delta_e[np.isfinite(solution.held_out_delta_e)]
     return CameraColour(
         model=solution.model,
         encoding=encoding,
+        bits=bits,
         white_rgb=solution.white_rgb,
         delta_e_2000={
             "fit_mean": float(np.nanmean(solution.fit_delta_e)),
@@ -126,7 +135,7 @@ def _camera_colour(solution: ColourSolution, encoding: EncodingName) -> CameraCo
     )
 
 
-def gather_evidence(solved: RigSolution) -> Evidence:
+def gather_evidence(solved: RigSolution, target: Target) -> Evidence:
     """Return the arrays of rig.npz."""
     rows = [
         (camera, frame, view, solved.boards[frame].residuals_px[camera])
@@ -145,9 +154,9 @@ def gather_evidence(solved: RigSolution) -> Evidence:
             if item.lens_cov is not None
         },
         pose_cov={
-            camera: item.cov
-            for camera, item in solved.graph.cams_from_ref.items()
-            if item.cov is not None
+            camera: cov
+            for camera, place in solved.graph.cams_from_ref.items()
+            if (cov := _pose_cov(place, scale_known=target.square_size_measured)) is not None
         },
         sums=solved.dataset.sums,
     )

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from calichrome.colorimetry.encoding import EncodingName
 from calichrome.colour.fit import ColourSolution, fit_colour
 from calichrome.colour.samples import collect_samples
@@ -169,7 +171,8 @@ def run_on_corners(
         raise FileFormatError(f"{corners}: holds no corners; run detect again")
     dataset = _only(dataset, settings.cameras, corners)
     _check_inside(dataset, corners)
-    detection = Detection(dataset=dataset, rejected=(), findings=())
+    dataset, findings = _usable(_with_open_turns(dataset, target, corners), target)
+    detection = Detection(dataset=dataset, rejected=(), findings=tuple(findings))
     return _calibrate(detection, target, settings, recording, progress, measure=False)
 
 
@@ -180,6 +183,46 @@ def _only(dataset: Dataset, cameras: Sequence[str], corners: Path) -> Dataset:
             f"{corners}: has no camera {', '.join(missing)}; there are {', '.join(dataset.views)}"
         )
     return dataset.with_views({name: dataset.views[name] for name in cameras or dataset.views})
+
+
+def _with_open_turns(dataset: Dataset, target: Target, corners: Path) -> Dataset:
+    """Leave open which way up a board was that looks the same after half a turn."""
+    if len(target.symmetries) == 1 or len(dataset.views) == 1:
+        return dataset
+    for camera, views in dataset.views.items():
+        for frame, view in views.items():
+            if len(view.corner_ids) != target.n_corners:
+                raise FileFormatError(
+                    f"{corners}: camera {camera}, frame {frame} has {len(view.corner_ids)} of "
+                    f"{target.n_corners} corners; a board that looks the same after half a turn "
+                    f"must be seen whole, so remove this view"
+                )
+    return dataset.with_views(
+        {
+            camera: {
+                frame: replace(view, half_turn_ambiguous=True) for frame, view in views.items()
+            }
+            for camera, views in dataset.views.items()
+        }
+    )
+
+
+def _usable(dataset: Dataset, target: Target) -> tuple[Dataset, list[Finding]]:
+    """Leave out views whose corners fix no pose: fewer than four, or all on one line."""
+    kept: dict[str, dict[str, BoardView]] = {camera: {} for camera in dataset.views}
+    findings = []
+    for camera, views in dataset.views.items():
+        for frame, view in views.items():
+            points = target.corners_board[view.corner_ids, :2]
+            if len(points) >= 4 and np.linalg.matrix_rank(points - points.mean(axis=0)) == 2:
+                kept[camera][frame] = view
+                continue
+            text = (
+                f"camera {camera}, frame {frame}: {len(points)} corners, too few or all on one "
+                f"line, fix no pose; the view is left out."
+            )
+            findings.append(finding("no_board_frame", text, camera=camera, frames=[frame]))
+    return dataset.with_views(kept), findings
 
 
 def _check_inside(dataset: Dataset, corners: Path) -> None:
@@ -239,19 +282,21 @@ def _calibrate(
 
     findings = [*detection.findings, *judge_target(target), *judge_geometry(solved, target)]
     dataset = solved.dataset
-    encodings: dict[str, EncodingName] = dict.fromkeys(dataset.cameras, "srgb")
+    encodings: dict[str, EncodingName | None] = dict.fromkeys(dataset.cameras)
+    bits: dict[str, int | None] = dict.fromkeys(dataset.cameras)
     if recording is not None and target.markers:
         if measure:
             dataset = _measure_again(recording, solved, target, progress)
         encodings |= {camera: _encoding_of(recording, camera) for camera in dataset.cameras}
+        bits |= {camera: recording.entry(camera).bits for camera in dataset.cameras}
         findings += judge_unknown_encodings(recording, encodings)
     colours, colour_findings = _solve_colour(dataset, target, encodings)
     findings += colour_findings
 
-    rig = assemble_rig(solved, target, held_out, colours, encodings, findings)
+    rig = assemble_rig(solved, target, held_out, colours, encodings, bits, findings)
     return Calibration(
         rig=rig,
-        evidence=gather_evidence(solved),
+        evidence=gather_evidence(solved, target),
         recording=recording,
         n_pictures=0 if recording is None else recording.n_pictures,
     )
@@ -299,7 +344,7 @@ def _projection(lens: BrownConrady, cam_from_board: Pose) -> BoardToPixels:
 
 
 def _solve_colour(
-    dataset: Dataset, target: Target, encodings: Mapping[str, EncodingName]
+    dataset: Dataset, target: Target, encodings: Mapping[str, EncodingName | None]
 ) -> tuple[dict[str, ColourSolution], list[Finding]]:
     """Fit every camera whose pictures show the discs in colour."""
     if not target.markers:

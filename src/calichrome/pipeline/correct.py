@@ -57,7 +57,7 @@ def correct(
     undistort: bool = False,
     force: bool = False,
     progress: Progress = silent,
-) -> list[Path]:
+) -> tuple[list[Path], list[tuple[Path, str]]]:
     """Correct a file, a folder or a recording.
 
     Parameters
@@ -83,8 +83,9 @@ def correct(
 
     Returns
     -------
-    list of Path
-        What was written.
+    written : list of Path
+    skipped : list of (Path, str)
+        Files that could not be read, and why.
     """
     check_folder(output, force=force, inputs=[source])
     pictures = list(_pictures(rig, source, camera, pattern))
@@ -93,18 +94,24 @@ def correct(
         entry = rig.cameras[name]
         source_map = undistorting_map(entry.lens, entry.size_wh) if undistort else None
         correctors[name] = _named(name, entry, space, source_map)
-    written = []
+    written: list[Path] = []
+    skipped: list[tuple[Path, str]] = []
     with writing_folder(output, force=force, inputs=[source]) as folder:
         for done, picture in enumerate(pictures):
             progress("correcting", done, len(pictures))
             name, path = picture.camera, picture.path
             image = _read(rig.cameras[name], path, picture.bits)
+            if isinstance(image, Unreadable):
+                skipped.append((path, image.reason))
+                continue
             corrected = _apply(correctors[name], image, path)
             place = Path(name) / f"{picture.frame}{_suffix(path, corrected)}"
             write_picture(folder / place, corrected)
             written.append(output / place)
         progress("correcting", len(pictures), len(pictures))
-    return written
+        if not written:
+            raise RecordingError(f"{skipped[0][0]}: {skipped[0][1]}; nothing was corrected")
+    return written, skipped
 
 
 def rectify(
@@ -167,6 +174,8 @@ def rectify(
             for name in pair:
                 path = recording.files[name][frame]
                 image = _read(cameras[name], path, recording.entry(name).bits)
+                if isinstance(image, Unreadable):
+                    raise RecordingError(f"{path}: {image.reason}; remove the frame")
                 picture = _apply(correctors[name], image, path)
                 write_picture(folder / name / f"{frame}.png", _for_png(picture))
                 if len(shown) < 2:
@@ -177,7 +186,9 @@ def rectify(
         if sheet is not None:
             first, second = ((name, _rgb8(picture)) for name, picture in shown)
             drawn = rectified_sheet(first, second, vertical=rectification.vertical)
-            write_picture(sheet, drawn, force=force)
+            inside = sheet.resolve().is_relative_to(output.resolve())
+            place = folder / sheet.resolve().relative_to(output.resolve()) if inside else sheet
+            write_picture(place, drawn, force=force)
     return rectification
 
 
@@ -207,12 +218,13 @@ def _apply(corrector: Corrector, image: Image, path: Path) -> Pixels:
         raise CalichromeError(f"{path}: {error}") from error
 
 
-def _read(camera: Camera, path: Path, bits: int | None) -> Image:
-    encoding = None if camera.colour is None else camera.colour.encoding
-    image = read_image(path, encoding=encoding, bits=bits)
-    if isinstance(image, Unreadable):
-        raise RecordingError(f"{path}: {image.reason}")
-    return image
+def _read(camera: Camera, path: Path, bits: int | None) -> Image | Unreadable:
+    colour = camera.colour
+    return read_image(
+        path,
+        encoding=None if colour is None else colour.encoding,
+        bits=bits or (None if colour is None else colour.bits),
+    )
 
 
 def _pictures(
@@ -242,7 +254,7 @@ def _open(
     if camera is not None and pattern is None:
         recording = open_recording(source, pattern="{frame}")
         return recording, {camera: recording.files["cam0"]}
-    recording = open_recording(source, pattern=pattern)
+    recording = open_recording(source, pattern=pattern, synchronous=False)
     if recording.cameras == ("cam0",) and "cam0" not in rig.cameras:
         return recording, {camera or _only_camera(rig, source): recording.files["cam0"]}
     return recording, recording.files

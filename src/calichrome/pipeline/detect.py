@@ -14,7 +14,7 @@ from calichrome.detection import detect_board, draw_overlay, no_order_fits, seen
 from calichrome.errors import DetectionError, RecordingError, TargetError
 from calichrome.imaging import Recording, Unreadable, write_picture
 from calichrome.observations import BoardView, Dataset, NotFound
-from calichrome.target import Target, load_target, parse_target, with_square_size
+from calichrome.target import Target, check_target, load_target, parse_target, with_square_size
 
 __all__ = ["Detection", "Progress", "detect_recording", "find_target", "silent"]
 
@@ -66,6 +66,9 @@ def find_target(recording: Recording | None, target: str | None, square: str | N
         If there is none, or it is wrong.
     """
     found = _load_target(recording, target)
+    errors = [item.text for item in check_target(found) if item.severity == "error"]
+    if errors:
+        raise TargetError(f"the target cannot be used: {errors[0]}")
     size = square or (None if recording is None else recording.settings.square)
     if size is None:
         return found

@@ -43,6 +43,9 @@ views of the real recordings of the tests are at 1.6."""
 _SLOPE_TOLERANCE = 0.12
 """Of the grey slope about 1. Simulated prints with errors of sd 3 in L, a, b scatter by 0.03;
 Rec.709 taken for sRGB gives 0.85, gamma 2.2 taken for linear 0.45."""
+_CONTRADICTED = 15.0
+"""Mean dE2000 of the fit from which discs and target do not belong together: permuted or mirrored
+discs give 30 to 50, the wrong encoding 8, good prints 0.6 to 3 (rendered recordings)."""
 _EXIF_CHANGE = 0.05  # relative; EXIF rounds exposure times by less
 
 
@@ -182,7 +185,7 @@ def judge_exposures(
 
 
 def judge_unknown_encodings(
-    recording: Recording, encodings: Mapping[str, EncodingName]
+    recording: Recording, encodings: Mapping[str, EncodingName | None]
 ) -> Iterator[Finding]:
     """Yield cameras whose encoding is said to be unknown: this release does not estimate it."""
     for camera, encoding in encodings.items():
@@ -196,16 +199,25 @@ def judge_unknown_encodings(
 
 
 def judge_colour(
-    camera: str, solution: ColourSolution, encoding: EncodingName, target: Target
+    camera: str, solution: ColourSolution, encoding: EncodingName | None, target: Target
 ) -> Iterator[Finding]:
     """Yield doubts about one camera's colour."""
     slope = grey_slope(solution.disc_rgb, target.marker_xyz_d65)
-    if slope is not None and abs(slope - 1) > _SLOPE_TOLERANCE:
+    error = float(np.nanmean(solution.fit_delta_e))
+    if error > _CONTRADICTED or (slope is not None and slope <= 0):
+        yield finding(
+            "target_contradicted",
+            f"Camera {camera}: its discs differ from the target's by {error:.0f} dE2000. The "
+            f"pictures may be mirrored, or show another print; then the geometry is wrong as well. "
+            f"Check --target.",
+            camera=camera, delta_e_2000=error,
+        )  # fmt: skip
+    elif slope is not None and abs(slope - 1) > _SLOPE_TOLERANCE:
         yield finding(
             "encoding_doubtful",
-            f"Camera {camera}: read as {encoding}, its greys follow the nominal ones with exponent "
-            f"{slope:.2f} instead of 1. State the true encoding in recording.toml, or turn off "
-            f"contrast and gamma settings of the camera.",
+            f"Camera {camera}: read as {encoding or 'linear values'}, its greys follow the nominal "
+            f"ones with exponent {slope:.2f} instead of 1. State the true encoding in "
+            f"recording.toml, or turn off contrast and gamma settings of the camera.",
             camera=camera, slope=slope,
         )  # fmt: skip
     if solution.n_clipped:

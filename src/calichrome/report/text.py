@@ -122,8 +122,9 @@ def distance_text(camera: Camera) -> str:
     trans_m = camera.cam_from_ref.trans_m
     distance = float(np.linalg.norm(trans_m))
     sigma = None
-    if camera.sigma_m is not None and distance > 0:
-        sigma = float(np.linalg.norm(camera.sigma_m * trans_m) / distance) * 1e3
+    if camera.cov_m is not None and distance > 0:
+        direction = trans_m / distance
+        sigma = float(np.sqrt(direction @ camera.cov_m @ direction)) * 1e3
     return with_sigma(distance * 1e3, sigma)
 
 

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -22,6 +22,7 @@ __all__ = ["FORMAT_VERSION", "RigFile", "load_rig", "rig_to_json", "save_rig"]
 
 FORMAT_VERSION = 1
 _MAX_BYTES = 200_000_000
+PictureSide = Annotated[int, Field(ge=1, le=100_000)]
 Triple = tuple[float, float, float]
 Matrix = tuple[Triple, Triple, Triple]
 
@@ -38,6 +39,7 @@ class _PoseFile(_Base):
 class _CamFromRefFile(_PoseFile):
     sigma_rad: Triple | None
     sigma_m: Triple | None
+    cov_m: Matrix | None = None
 
 
 class _LensFile(_Base):
@@ -46,7 +48,8 @@ class _LensFile(_Base):
 
 
 class _EncodingFile(_Base):
-    name: Literal["linear", "srgb", "gamma2.2", "rec709"]
+    name: Literal["linear", "srgb", "gamma2.2", "rec709"] | None
+    bits: int | None = Field(default=None, ge=8, le=16)
 
 
 class _WhiteFile(_Base):
@@ -69,7 +72,7 @@ class _ColourFile(_Base):
 
 
 class _CameraFile(_Base):
-    size_wh: tuple[int, int]
+    size_wh: tuple[PictureSide, PictureSide]
     time_offset_s: float = 0.0
     lens: _LensFile
     cam_from_ref: _CamFromRefFile
@@ -149,7 +152,7 @@ def load_rig(path: Path | str) -> Rig:
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise FileFormatError(f"{path}: is larger than 200 MB, which no rig file is")
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
     except OSError as error:
         raise FileFormatError(f"{path}: cannot be read ({error.strerror})") from error
     except (ValueError, RecursionError) as error:
@@ -171,6 +174,10 @@ def load_rig(path: Path | str) -> Rig:
         raise FileFormatError(f"{path}: lacks {error}") from error
     except (TypeError, ValueError, TargetError, FileFormatError) as error:
         raise FileFormatError(f"{path}: {error}") from error
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"holds {name}, which is not a number that can be used")
 
 
 def rig_to_json(rig: Rig) -> dict[str, Any]:
@@ -223,6 +230,7 @@ def _camera_to_json(camera: Camera) -> dict[str, Any]:
             **_pose_to_json(camera.cam_from_ref),
             "sigma_rad": _listed(camera.sigma_rad),
             "sigma_m": _listed(camera.sigma_m),
+            "cov_m": None if camera.cov_m is None else camera.cov_m.tolist(),
         },
         "n_views": camera.n_views,
         "n_corners": camera.n_corners,
@@ -233,7 +241,7 @@ def _camera_to_json(camera: Camera) -> dict[str, Any]:
         if colour is None
         else {
             "model": colour.model.MODEL,
-            "encoding": {"name": colour.encoding},
+            "encoding": {"name": colour.encoding, "bits": colour.bits},
             "parameters": colour.model.to_json(),
             "white": {"rgb": colour.white_rgb.tolist()},
             "delta_e_2000": dict(colour.delta_e_2000),
@@ -287,6 +295,7 @@ def _camera(file: _CameraFile) -> Camera:
         cam_from_ref=_pose(pose),
         sigma_rad=None if pose.sigma_rad is None else np.array(pose.sigma_rad),
         sigma_m=None if pose.sigma_m is None else np.array(pose.sigma_m),
+        cov_m=None if pose.cov_m is None else np.array(pose.cov_m),
         n_views=file.n_views,
         n_corners=file.n_corners,
         rms_px=file.rms_px,
@@ -301,6 +310,7 @@ def _colour(file: _ColourFile) -> CameraColour:
     return CameraColour(
         model=MODELS[file.model].from_json(file.parameters),
         encoding=file.encoding.name,
+        bits=file.encoding.bits,
         white_rgb=np.array(file.white.rgb),
         delta_e_2000={
             "fit_mean": file.delta_e_2000.fit_mean,

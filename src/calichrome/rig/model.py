@@ -25,7 +25,10 @@ class CameraColour:
     model
         Linear RGB to XYZ under D65.
     encoding
-        How the camera's files store light.
+        How the camera's files store light; None if no picture was seen (calibrated from corners):
+        then each file is read by its depth.
+    bits
+        Significant bits of integer pixels, where stated.
     white_rgb : (3,) float
         Linear camera value of the target's white squares in the reference light.
     delta_e_2000
@@ -33,9 +36,10 @@ class CameraColour:
     """
 
     model: ColourModel
-    encoding: EncodingName
+    encoding: EncodingName | None
     white_rgb: FloatArray
     delta_e_2000: Mapping[str, float]
+    bits: int | None = None
 
     def xyz_from_rgb(self, rgb: FloatArray) -> FloatArray:
         """XYZ under D65, Y = 1 for the perfect diffuser, of linear RGB (..., 3), 0..1."""
@@ -56,6 +60,8 @@ class Camera:
         Where the camera is.
     sigma_rad, sigma_m : (3,) float or None
         Standard deviations of its (omega, tau); zero for the reference camera.
+    cov_m : (3, 3) float or None
+        Covariance of the translation, whose diagonal `sigma_m` is the root of.
     n_views, n_corners
         What the lens stands on.
     rms_px, held_out_rms_px
@@ -74,6 +80,7 @@ class Camera:
     n_corners: int
     rms_px: float
     held_out_rms_px: float | None = None
+    cov_m: FloatArray | None = None
     colour: CameraColour | None = None
 
     def project(self, points_ref: FloatArray) -> FloatArray:

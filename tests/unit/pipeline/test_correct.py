@@ -10,7 +10,7 @@ import pytest
 from calichrome.apply import OutputSpace
 from calichrome.colour.models import Linear
 from calichrome.core.pose import Pose
-from calichrome.errors import OutputError, RecordingError
+from calichrome.errors import CalichromeError, OutputError, RecordingError
 from calichrome.geometry.lenses import BrownConrady
 from calichrome.imaging import Pixels, write_picture
 from calichrome.pipeline.correct import correct, rectify
@@ -74,7 +74,7 @@ def test_formats_of_the_contract(
     """8 bit gives PNG, JPEG gives JPEG, 16 bit and float give TIFF."""
     for camera in ("left", "right"):
         write_picture(tmp_path / "in" / camera / name, _filled(100, dtype))
-    paths = correct(rig, tmp_path / "in", tmp_path / "out", space=space)
+    paths, _ = correct(rig, tmp_path / "in", tmp_path / "out", space=space)
     assert paths == [tmp_path / "out" / camera / written for camera in ("left", "right")]
     assert all(path.is_file() for path in paths)
 
@@ -84,7 +84,7 @@ def test_bits_of_recording_toml(rig: Rig, tmp_path: Path) -> None:
     for camera in ("left", "right"):
         write_picture(tmp_path / "in" / camera / "1.png", _filled(2048, np.uint16))
     (tmp_path / "in" / "recording.toml").write_text('bits = 12\nencoding = "linear"\n')
-    path, _ = correct(rig, tmp_path / "in", tmp_path / "out", space="xyz-d65")
+    (path, _), _ = correct(rig, tmp_path / "in", tmp_path / "out", space="xyz-d65")
     stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     assert stored is not None
     np.testing.assert_allclose(stored[3, 4, ::-1], [2048 / 4095, 2048 / 4095, 0], atol=1e-4)
@@ -93,22 +93,22 @@ def test_bits_of_recording_toml(rig: Rig, tmp_path: Path) -> None:
 def test_single_picture_and_flat_folder(rig: Rig, tmp_path: Path) -> None:
     picture = tmp_path / "flat" / "7.png"
     write_picture(picture, _filled(90, np.uint8))
-    assert correct(rig, picture, tmp_path / "a", camera="right") == [
+    assert correct(rig, picture, tmp_path / "a", camera="right")[0] == [
         tmp_path / "a" / "right" / "7.png"
     ]
-    assert correct(rig, picture.parent, tmp_path / "b", camera="left") == [
+    assert correct(rig, picture.parent, tmp_path / "b", camera="left")[0] == [
         tmp_path / "b" / "left" / "7.png"
     ]
     only = replace(rig, cameras={"left": rig.cameras["left"]})
-    assert correct(only, picture, tmp_path / "c") == [tmp_path / "c" / "left" / "7.png"]
+    assert correct(only, picture, tmp_path / "c")[0] == [tmp_path / "c" / "left" / "7.png"]
 
 
 def test_failure_half_way_leaves_nothing(rig: Rig, tmp_path: Path) -> None:
     for camera in ("left", "right"):
         write_picture(tmp_path / "in" / camera / "1.png", _filled(90, np.uint8))
-    (tmp_path / "in" / "right" / "1.png").write_bytes(b"no picture")
+    write_picture(tmp_path / "in" / "right" / "1.png", _filled(90, np.uint8)[1:], force=True)
     before = sorted(tmp_path.rglob("*"))
-    with pytest.raises(RecordingError, match=r"right.1\.png"):
+    with pytest.raises(CalichromeError, match=r"right.1\.png: the picture is"):
         correct(rig, tmp_path / "in", tmp_path / "out")
     assert sorted(tmp_path.rglob("*")) == before
 
@@ -119,7 +119,7 @@ def test_recording_is_never_replaced(rig: Rig, tmp_path: Path) -> None:
     for output in (tmp_path / "in", tmp_path):
         with pytest.raises(OutputError, match="which is read"):
             correct(rig, tmp_path / "in", output, force=True)
-    inside = correct(rig, tmp_path / "in", tmp_path / "in" / "corrected")
+    inside, _ = correct(rig, tmp_path / "in", tmp_path / "in" / "corrected")
     assert inside[0].is_file()
 
 

@@ -20,6 +20,7 @@ _CAMERA = Camera(
     cam_from_ref=Pose(np.eye(3), np.array([-0.3, 0, 0.4])),
     sigma_rad=np.full(3, 1e-3),
     sigma_m=np.array([1e-3, 1e-3, 1e-3]),
+    cov_m=1e-6 * np.eye(3),
     n_views=12,
     n_corners=600,
     rms_px=0.1,

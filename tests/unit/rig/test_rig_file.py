@@ -153,7 +153,7 @@ def _damaged(rig: Rig, tmp_path: Path, *steps: str | int, value: Any) -> Path:  
         (("format_version",), "1", "format_version '1'"),
         (("cameras", "left", "rms_px"), ..., "cameras.left.rms_px: Field required"),
         (("cameras", "left", "rms_px"), "much", "cameras.left.rms_px"),
-        (("cameras", "left", "rms_px"), float("nan"), "cameras.left.rms_px"),
+        (("cameras", "left", "rms_px"), float("nan"), "holds NaN"),
         (("cameras", "left", "size_wh"), [640], "cameras.left.size_wh"),
         (("cameras", "left", "lens", "model"), "fisheye", "lens model fisheye is not known"),
         (("cameras", "left", "lens", "fx"), ..., "lacks .fx."),
