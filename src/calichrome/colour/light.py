@@ -6,7 +6,7 @@ from calichrome.core.arrays import FloatArray
 
 __all__ = ["light_at"]
 
-_ROUNDS = 3  # of reweighting; the surface moves by less than its noise after two
+_ROUNDS = 3  # of reweighting: it only has to sort out single squares, not to converge
 _HUBER = 2.0  # robust sigmas beyond which a white reading loses weight (a shadow, a misread square)
 
 
@@ -28,8 +28,8 @@ def light_at(positions: FloatArray, white_rgb: FloatArray) -> FloatArray:
 
     Notes
     -----
-    Light of a lamp and the fall-off of a lens are smooth over a board; a quadratic takes both up
-    (measured on rendered boards: 6.1 dE2000 without, 0.8 with it, for a 3x3).
+    Light of a lamp and the fall-off of a lens are smooth over a board; a quadratic takes both up:
+    docs/decisions/0003-light-before-colour.md has the measurement.
     """
     known = np.isfinite(white_rgb).all(axis=1)
     if not known.any():

@@ -12,8 +12,8 @@ from calichrome.target import Target
 __all__ = ["detect_board"]
 
 _MIN_SPACING_PX = 6.0
-"""Below this the refinement window of +-2 px reaches over a third of the square and its neighbours
-pull on the corner (the classic detector itself loses such boards at 5 px)."""
+"""Below this the refinement window of +-2 px covers two thirds of the way to the neighbouring
+corners, which then pull on the corner."""
 
 
 def detect_board(image: Image, target: Target) -> BoardView | NotFound:

@@ -22,7 +22,8 @@ BoardToPixels = Callable[[FloatArray], FloatArray]
 _EDGE_PX = 3.0
 """Pixels beside an edge whose colour the edge changes: 2 px that 5x5 demosaicing reaches (Malvar
 et al., 2004) and 1 px of blur. On simulated boards with mosaic (seed 0 of the demo) the colour
-error of a 3x3 falls from 2.46 dE2000 at 1.5 px to 1.11 at 3 px, without mosaic it stays at 2.3."""
+error of a 3x3 fell from 2.46 dE2000 at 1.5 px to 1.11 at 3 px (discs of less than 4 px radius left
+out there), without mosaic it stayed at 2.3."""
 _EDGE_OF_DISC = (
     0.5  # at most this share of a disc's radius is given to its edge, so that some stays
 )
