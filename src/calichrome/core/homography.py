@@ -38,7 +38,8 @@ def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
     one, zero = np.ones_like(x), np.zeros_like(x)
     rows_u = np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1)
     rows_v = np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1)
-    _, _, vt = np.linalg.svd(np.concatenate([rows_u, rows_v]))
+    rows = np.concatenate([rows_u, rows_v])
+    _, _, vt = np.linalg.svd(rows, full_matrices=len(rows) < 9)
     homography = np.linalg.solve(to_target, vt[-1].reshape(3, 3) @ to_source)
     return np.asarray(homography / homography[2, 2])
 

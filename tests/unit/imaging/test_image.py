@@ -57,7 +57,7 @@ def test_grey_of_encoded_8_bit_is_its_luma() -> None:
     pixels = np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255], [90, 90, 90]]], dtype=np.uint8)
     # ITU-R BT.601
     expected = [[0.299 * 255, 0.587 * 255, 0.114 * 255, 90]]
-    np.testing.assert_allclose(_image(pixels, "srgb").grey(), expected, rtol=1e-6)
+    np.testing.assert_allclose(_image(pixels, "srgb").grey(), expected, atol=0.5)  # whole levels
 
 
 @pytest.mark.parametrize("bits", [12, 16])

@@ -1,0 +1,373 @@
+"""Corners to the limit of the pixels: a maximum-likelihood fit of blurred saddles, with covariance.
+
+Mirrored at the corner, the saddle keeps its value: its levels, blur and edge directions are even
+functions and cannot pull the position. Only what is odd can: the curvature of the edges and the
+gradient of the light. Both are smooth over the board, so a first pass fits every corner alone in a
+small window, the board tells curvature and light from all of them, and a second pass fits the
+whole cell of each corner with these as priors of known spread.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calichrome.core.arrays import BoolArray, FloatArray, IntArray
+from calichrome.detection.blurred_saddle import (
+    N_PARAMETERS,
+    SaddleParameters,
+    saddle_and_derivatives,
+)
+from calichrome.detection.board_map import BoardMap, EdgeBend
+from calichrome.detection.corner_pixels import (
+    CornerPixels,
+    Discs,
+    clear_of_discs,
+    pixels_along_edges,
+)
+from calichrome.detection.levels import Levels
+from calichrome.detection.light_field import light_gradients
+
+__all__ = ["RefinedCorners", "refine_corners"]
+
+_N_ALONE = 7  # parameters that a corner determines alone: position, angles, blur, two levels
+_FIRST_BLUR_PX = 1.1  # where the fit of the blur starts
+_FIRST_STEPS = 2  # with each choice of pixels
+_FIRST_REACH = 0.22  # of a square: clear of discs of up to 0.7
+_FIRST_REACH_PX = (3.0, 13.0)  # at least, to hold enough pixels; at most, where light may change
+_BAND_SIGMAS = 3.0
+"""Half-width of the strip along an edge that is fitted: 99.7 % of the edge's change lie within."""
+_STEP_LIMITS = np.array([1.5, 1.5, 0.2, 0.2, 0.4, np.inf, np.inf])  # px, px, rad, rad, log px
+_OUTLIER_SIGMAS = 5.0
+_OUTLIER_LEVEL = 8 / 255  # what the model may be wrong by, beyond noise
+_PIXELS_AT_ONCE = 4000
+_MIN_PIXELS = 14  # twice the parameters that a corner determines alone
+_FARTHEST_MOVE_PX = 2.5
+_LARGEST_SIGMA_PX = 0.5  # beyond, a corner was found better than it can be fitted
+_START_SIGMA_PX = 0.1  # of a corner that was found and not fitted, at least
+_MAP_GATE = 12.0  # mean squared misfit to the map, in units of the board's own
+_FEWEST_TO_JUDGE = 20  # degrees of freedom that a statement about the whole board needs
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RefinedCorners:
+    """Corners with their covariance.
+
+    Parameters
+    ----------
+    corners_px : (N, 2) float
+    cov_px : (N, 2, 2) float
+    fitted : (N,) bool
+        False where the fit was doubtful: the corner is then where it was found, with a covariance
+        that covers its distance from the map of the others.
+    blur_px
+        Median sigma of the blur, including the pixel's own.
+    noise
+        Median standard deviation of the residuals, 0..1 of full scale.
+    disagreement
+        Mean squared misfit of the corners to a smooth map, in units of what white noise lets
+        expect; `cov_px` is scaled by it. nan if too few corners tell; then it is not.
+    """
+
+    corners_px: FloatArray
+    cov_px: FloatArray
+    fitted: BoolArray
+    blur_px: float
+    noise: float
+    disagreement: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Equations:
+    """J'J (N, n, n), J'r (N, n), r'r (N,) and how many pixels count (N,)."""
+
+    normal: FloatArray
+    right: FloatArray
+    squares: FloatArray
+    n_pixels: IntArray
+
+    def squares_after(self, steps: FloatArray) -> FloatArray:
+        """Sum of squared residuals after steps (N, n), of the linearised model."""
+        gain = 2 * (steps * self.right).sum(axis=1)
+        bent = (self.normal @ steps[..., None])[..., 0]
+        return np.asarray(self.squares - gain + (steps * bent).sum(axis=1))
+
+    def noise(self, squares: FloatArray) -> float:
+        """Return the standard deviation of the residuals of the median corner."""
+        told = self.n_pixels > _MIN_PIXELS
+        variance = squares[told] / (self.n_pixels[told] - _N_ALONE)
+        return float(np.sqrt(np.median(variance))) if told.any() else _OUTLIER_LEVEL
+
+
+def refine_corners(
+    levels: Levels,
+    start_px: FloatArray,
+    indices: IntArray,
+    white: BoolArray,
+    discs: Discs,
+    size_wh: tuple[int, int],
+) -> RefinedCorners:
+    """Fit every corner.
+
+    Parameters
+    ----------
+    levels
+        The picture, in linear light.
+    start_px : (N, 2) float
+        Corners to about half a pixel.
+    indices : (N, 2) int
+        Their places (ix, iy) on the board.
+    white : (N,) bool
+        Whether the square to the lower right of a corner is white.
+    discs
+        What lies inside the squares and must not be fitted.
+    size_wh
+        Of the picture.
+    """
+    lattice = indices.astype(np.float64)
+    board_map = BoardMap.fit(lattice, start_px, size_wh)
+    start_px = _pulled_in(start_px, board_map(lattice))
+    edges = board_map.edges(lattice)
+    parameters = _start(levels, start_px, edges, white, size_wh)
+    parameters, alone_cov, noise = _fit_alone(levels, parameters, edges, size_wh)
+
+    good = np.isfinite(alone_cov).all(axis=(1, 2))
+    good &= np.linalg.norm(parameters.positions_px - start_px, axis=1) < _FARTHEST_MOVE_PX
+    if good.sum() < 4:
+        return _nothing_fitted(start_px, board_map(lattice))
+    board_map = BoardMap.fit(lattice[good], parameters.positions_px[good], size_wh, alone_cov[good])
+    edges = board_map.edges(lattice)
+    parameters, precision = _with_board_knowledge(parameters, edges, lattice, good)
+    blur = float(np.exp(np.median(parameters.values[good, 4])))
+    reach = np.full(len(lattice), 0.5)
+    pixels = pixels_along_edges(parameters.positions_px, edges, reach, _BAND_SIGMAS * blur, size_wh)
+    pixels = clear_of_discs(
+        pixels, parameters.positions_px, edges, indices, discs.on(board_map), blur
+    )
+    parameters, cov_px, noise, n_pixels = _fit_cells(levels, parameters, pixels, precision, noise)
+    fitted = good & (n_pixels >= _MIN_PIXELS)
+    fitted &= np.linalg.eigvalsh(cov_px)[:, 1] < _LARGEST_SIGMA_PX**2
+    fitted &= np.linalg.norm(parameters.positions_px - start_px, axis=1) < _FARTHEST_MOVE_PX
+    if fitted.sum() < 4:
+        return _nothing_fitted(start_px, board_map(lattice))
+    fine = RefinedCorners(
+        corners_px=parameters.positions_px,
+        cov_px=cov_px,
+        fitted=fitted,
+        blur_px=blur,
+        noise=noise,
+        disagreement=float("nan"),
+    )
+    return _judged(fine, start_px, lattice, size_wh)
+
+
+def _pulled_in(start_px: FloatArray, mapped_px: FloatArray) -> FloatArray:
+    """Put corners that were found far off the map of the others onto it."""
+    off = np.linalg.norm(start_px - mapped_px, axis=1)
+    limit = max(1.0, 6 * float(np.median(off)))
+    return np.where((off > limit)[:, None], mapped_px, start_px)
+
+
+def _start(
+    levels: Levels,
+    start_px: FloatArray,
+    edges: EdgeBend,
+    white: BoolArray,
+    size_wh: tuple[int, int],
+) -> SaddleParameters:
+    """Angles from the map, levels from four pixels a fifth of a square off the corner."""
+    values = np.zeros((len(start_px), N_PARAMETERS))
+    values[:, 0:2] = start_px
+    for column, run, other in (
+        (2, edges.along_j, edges.along_i),
+        (3, edges.along_i, edges.along_j),
+    ):
+        normal = np.stack([run[:, 1], -run[:, 0]], axis=1)
+        normal *= np.sign((normal * other).sum(axis=1))[:, None]
+        values[:, column] = np.arctan2(normal[:, 1], normal[:, 0])
+    values[:, 4] = np.log(_FIRST_BLUR_PX)
+    diagonals = (edges.along_i + edges.along_j, edges.along_i - edges.along_j)
+    places = [start_px + 0.2 * sign * step for step in diagonals for sign in (1, -1)]
+    at = np.clip(np.rint(places), 0, np.array(size_wh) - 1).astype(np.int64)
+    same, _ = levels(at[:2, :, 0].ravel(), at[:2, :, 1].ravel())
+    opposite, _ = levels(at[2:, :, 0].ravel(), at[2:, :, 1].ravel())
+    same, opposite = same.reshape(2, -1).mean(axis=0), opposite.reshape(2, -1).mean(axis=0)
+    values[:, 5] = (same + opposite) / 2
+    contrast = np.abs(same - opposite) / 2
+    values[:, 6] = np.where(white, 1, -1) * np.maximum(contrast, 1e-4)
+    values[:, 11:13] = edges.curvature
+    return SaddleParameters(values)
+
+
+def _fit_alone(
+    levels: Levels, parameters: SaddleParameters, edges: EdgeBend, size_wh: tuple[int, int]
+) -> tuple[SaddleParameters, FloatArray, float]:
+    """Fit the seven own parameters of every corner in a small window."""
+    square = np.minimum(
+        np.linalg.norm(edges.along_i, axis=1), np.linalg.norm(edges.along_j, axis=1)
+    )
+    reach_px = np.clip(_FIRST_REACH * square, *_FIRST_REACH_PX)
+    reach = np.minimum(reach_px / square, 0.5)
+    moves = np.zeros((len(parameters), N_PARAMETERS))
+    for _ in range(2):  # once more when position and blur are known better
+        blur = float(np.exp(np.median(parameters.values[:, 4])))
+        pixels = pixels_along_edges(
+            parameters.positions_px, edges, reach, _BAND_SIGMAS * blur, size_wh
+        )
+        seen, usable = levels(pixels.column, pixels.row)
+        pixels, seen = pixels.only(usable), seen[usable]
+        for _ in range(_FIRST_STEPS):
+            equations = _normal_equations(parameters, pixels, seen, _N_ALONE)
+            steps = _solved(equations.normal, equations.right)
+            steps = np.clip(steps, -_STEP_LIMITS, _STEP_LIMITS)
+            moves[:, :_N_ALONE] = steps
+            parameters = parameters.moved(moves)
+    noise = equations.noise(equations.squares_after(steps))
+    cov_px = _inverse(equations.normal)[:, :2, :2] * noise**2
+    cov_px[equations.n_pixels < _MIN_PIXELS] = np.nan
+    return parameters, cov_px, noise
+
+
+def _with_board_knowledge(
+    parameters: SaddleParameters, edges: EdgeBend, lattice: FloatArray, good: BoolArray
+) -> tuple[SaddleParameters, FloatArray]:
+    """Set gradients and curvatures from the whole board; return their prior precision (N, 13, 13).
+
+    The gradient of the contrast is that of |b|, whose sign is the corner's.
+    """
+    values = parameters.values.copy()
+    precision = np.zeros((len(values), N_PARAMETERS, N_PARAMETERS))
+    to_lattice = np.linalg.inv(np.stack([edges.along_i, edges.along_j], axis=2))
+    sign = np.sign(values[:, 6])
+    for level, columns, signs in ((5, slice(7, 9), 1.0), (6, slice(9, 11), sign)):
+        per_square, cov = light_gradients(lattice[good], (values[:, level] * signs)[good])
+        gradient, spread = np.zeros((len(values), 2)), np.zeros((len(values), 2, 2))
+        gradient[good], spread[good] = per_square, cov
+        gradient[~good], spread[~good] = per_square.mean(axis=0), 4 * cov.mean(axis=0)
+        gradient_px = np.einsum("nji,nj->ni", to_lattice, gradient)
+        spread_px = np.einsum("nki,nkl,nlj->nij", to_lattice, spread, to_lattice)
+        values[:, columns] = gradient_px * np.reshape(signs, (-1, 1))
+        floor = (1e-6 * np.abs(values[:, 6]))[:, None, None] ** 2 * np.eye(2)
+        precision[:, columns, columns] = np.linalg.inv(spread_px + floor)
+    values[:, 11:13] = edges.curvature
+    precision[:, 11, 11] = 1 / np.maximum(edges.variance[:, 0], 1e-18)
+    precision[:, 12, 12] = 1 / np.maximum(edges.variance[:, 1], 1e-18)
+    return SaddleParameters(values), precision
+
+
+def _fit_cells(
+    levels: Levels,
+    parameters: SaddleParameters,
+    pixels: CornerPixels,
+    precision: FloatArray,
+    noise: float,
+) -> tuple[SaddleParameters, FloatArray, float, IntArray]:
+    """Fit all parameters of every corner in its whole cell, one step from the first pass."""
+    seen, usable = levels(pixels.column, pixels.row)
+    pixels, seen = pixels.only(usable), seen[usable]
+    outlier = _OUTLIER_SIGMAS * noise + _OUTLIER_LEVEL
+    equations = _normal_equations(parameters, pixels, seen, N_PARAMETERS, outlier)
+    for _ in range(2):  # the second time with the noise of the first
+        information = equations.normal / noise**2 + precision
+        steps = _solved(information, equations.right / noise**2)
+        noise = equations.noise(equations.squares_after(steps))
+    steps[:, :_N_ALONE] = np.clip(steps[:, :_N_ALONE], -_STEP_LIMITS, _STEP_LIMITS)
+    return parameters.moved(steps), _inverse(information)[:, :2, :2], noise, equations.n_pixels
+
+
+def _normal_equations(
+    parameters: SaddleParameters,
+    pixels: CornerPixels,
+    seen: FloatArray,
+    n_free: int,
+    outlier: float = np.inf,
+) -> _Equations:
+    """Linearise the model at the pixels; residuals beyond `outlier` do not count."""
+    count = len(parameters)
+    ranges = pixels.ranges(count)
+    products = np.empty((count, n_free + 1, n_free + 1))
+    n_pixels = np.zeros(count, dtype=np.int64)
+    # A few corners at a time, so that the arrays stay in the processor's cache.
+    groups = np.searchsorted(ranges, np.arange(0, len(pixels), _PIXELS_AT_ONCE))
+    borders = np.unique(np.concatenate([groups, [count]]))
+    first = 0
+    for last in borders:
+        span = slice(ranges[first], ranges[last])
+        predicted, derivatives = saddle_and_derivatives(
+            parameters, pixels.corner[span], pixels.points[span], n_free
+        )
+        residuals = seen[span] - predicted
+        stacked = np.concatenate([derivatives, residuals[None]])
+        if np.isfinite(outlier):
+            stacked *= np.abs(residuals) <= outlier
+        for corner in range(first, last):
+            own = stacked[:, ranges[corner] - span.start : ranges[corner + 1] - span.start]
+            np.matmul(own, own.T, out=products[corner])
+            n_pixels[corner] = np.count_nonzero(own[5])  # dI / da = 1 where a pixel counts
+        first = last
+    return _Equations(
+        products[:, :n_free, :n_free],
+        products[:, :n_free, n_free],
+        products[:, n_free, n_free],
+        n_pixels,
+    )
+
+
+def _scaled(normal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Scale to a unit diagonal, with a trace of damping for corners without pixels."""
+    scale = 1 / np.sqrt(np.maximum(np.einsum("nii->ni", normal), 1e-12))
+    scaled = normal * scale[:, :, None] * scale[:, None, :]
+    return scaled + 1e-10 * np.eye(normal.shape[1]), scale
+
+
+def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
+    scaled, scale = _scaled(normal)
+    return np.asarray(np.linalg.solve(scaled, (right * scale)[..., None])[..., 0] * scale)
+
+
+def _inverse(normal: FloatArray) -> FloatArray:
+    scaled, scale = _scaled(normal)
+    return np.asarray(np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None, :])
+
+
+def _judged(
+    fine: RefinedCorners, start_px: FloatArray, lattice: FloatArray, size_wh: tuple[int, int]
+) -> RefinedCorners:
+    """Compare corners with the map of all, scale the covariance, set doubtful corners apart."""
+    fitted, cov_px = fine.fitted, fine.cov_px
+    board_map = BoardMap.fit(lattice[fitted], fine.corners_px[fitted], size_wh, cov_px[fitted])
+    mapped = board_map(lattice)
+    if board_map.n_free < _FEWEST_TO_JUDGE:
+        return _with_doubtful(fine, fitted, start_px, mapped)
+    disagreement = board_map.misfit
+    misfit = (fine.corners_px - mapped)[..., None]
+    weighted = np.linalg.solve(np.where(fitted[:, None, None], cov_px, np.eye(2)), misfit)
+    size = (misfit * weighted).sum(axis=(1, 2)) / 2
+    fitted = fitted & (size <= _MAP_GATE * max(disagreement, 1.0))
+    fine = replace(fine, cov_px=cov_px * disagreement, disagreement=disagreement)
+    return _with_doubtful(fine, fitted, start_px, mapped)
+
+
+def _with_doubtful(
+    fine: RefinedCorners, fitted: BoolArray, start_px: FloatArray, mapped: FloatArray
+) -> RefinedCorners:
+    """Put corners that are not `fitted` back to where they were found."""
+    distance = np.maximum(np.linalg.norm(start_px - mapped, axis=1), _START_SIGMA_PX)
+    covering = (distance**2)[:, None, None] * np.eye(2)
+    return replace(
+        fine,
+        corners_px=np.where(fitted[:, None], fine.corners_px, start_px),
+        cov_px=np.where(fitted[:, None, None], fine.cov_px, covering),
+        fitted=fitted,
+    )
+
+
+def _nothing_fitted(start_px: FloatArray, mapped: FloatArray) -> RefinedCorners:
+    unknown = RefinedCorners(
+        corners_px=start_px,
+        cov_px=np.zeros((len(start_px), 2, 2)),
+        fitted=np.zeros(len(start_px), dtype=bool),
+        blur_px=float("nan"),
+        noise=float("nan"),
+        disagreement=float("nan"),
+    )
+    return _with_doubtful(unknown, unknown.fitted, start_px, mapped)
