@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calichrome.core.arrays import FloatArray
-from calichrome.detection.plane_through_lens import design, fit_plane, project
+from calichrome.detection.plane_through_lens import PlaneFit, fit_plane
 
 __all__ = ["BoardMap", "EdgeBend"]
 
@@ -51,10 +51,10 @@ class BoardMap:
         Squares per unit of the normalised lattice coordinates.
     centre_px, scale_px
         Middle (2,) and half diagonal of the picture, which make normalised pixels.
-    theta : (P,) float
-        Parameters of `plane_through_lens`.
+    plane
+        The map between normalised coordinates.
     covariance : (P, P) float
-        Of theta.
+        Of the plane's linear parameters.
     misfit
         Mean squared residual per degree of freedom, over its expectation if the noise was given, in
         px^2 if not; nan without a degree of freedom.
@@ -66,7 +66,7 @@ class BoardMap:
     unit: float
     centre_px: FloatArray
     scale_px: float
-    theta: FloatArray
+    plane: PlaneFit
     covariance: FloatArray
     misfit: float
     n_free: int
@@ -112,7 +112,7 @@ class BoardMap:
             unit=unit,
             centre_px=centre,
             scale_px=scale,
-            theta=fit.theta,
+            plane=fit,
             covariance=fit.covariance * (misfit if unknown else 1.0),
             misfit=misfit,
             n_free=max(round(free), 0),
@@ -121,7 +121,7 @@ class BoardMap:
     def __call__(self, points: FloatArray) -> FloatArray:
         """Map lattice coordinates (..., 2) to pixels (..., 2)."""
         lattice = (np.reshape(points, (-1, 2)) - self.origin) / self.unit
-        pixels = project(self.theta, lattice) * self.scale_px + self.centre_px
+        pixels = self.plane.project(lattice) * self.scale_px + self.centre_px
         return pixels.reshape(np.shape(points))
 
     def jacobian(self, points: FloatArray) -> FloatArray:
@@ -160,7 +160,7 @@ class BoardMap:
         return EdgeBend(along[0], along[1], curvature, variance)
 
     def _design(self, points: FloatArray) -> FloatArray:
-        return design(self.theta, (points - self.origin) / self.unit)
+        return self.plane.design((points - self.origin) / self.unit)
 
     def _bend_variance(
         self, line: FloatArray, normal: FloatArray, along: FloatArray, bend: FloatArray

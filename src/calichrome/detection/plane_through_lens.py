@@ -1,93 +1,77 @@
-"""A plane seen through a lens, as a vector of parameters: values, derivatives and their fit.
+"""A plane seen through a lens: a homography and radial distortion, and what is left.
 
-Parameters, all in normalised coordinates: the homography h00..h21 (h22 = 1), radial terms k1 and
-k2, their centre (x, y), and the x and y coefficients of the monomials of degree 2 and more:
+Parameters of the lens, in normalised coordinates: the homography h00..h21 (h22 = 1), radial terms
+k1 and k2, and their centre (x, y):
 
-    ideal = H lattice,  away = ideal - centre,
-    picture = ideal + away (k1 r^2 + k2 r^4) + polynomial(lattice).
+    ideal = H lattice,  away = ideal - centre,  picture = ideal + away (k1 r^2 + k2 r^4).
+
+What is left (tangential terms, a bowed board) is linear: a combination of the derivatives of these
+parameters and of monomials of degree 2 and more. Solved as parameters of their own, homography and
+monomials would trade large amounts without end.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calichrome.core.arrays import FloatArray
 from calichrome.core.homography import fit_homography
 
-__all__ = ["N_LENS", "PlaneFit", "design", "fit_plane", "project"]
+__all__ = ["PlaneFit", "fit_plane"]
 
-N_LENS = 12
-"""Parameters without the polynomial."""
-
+_N_LENS = 12
 _PRIOR_TERM = 0.5
-"""Sigma of k1, k2 and the polynomial's terms with radii in half diagonals of the picture: k1 = -0.4
-at a focal length of the picture's width is -0.16 in this unit."""
+"""Sigma of k1, k2 and the monomials with radii in half diagonals of the picture: k1 = -0.4 at a
+focal length of the picture's width is -0.16 in this unit."""
 _PRIOR_CENTRE = 0.1
 """Sigma of the centre of distortion in half diagonals: 6 % of the width of a 4:3 picture."""
-_DEGREES = (2, 3, 4)  # of the polynomial, if there is one; 1 is the homography's
-_RESIDUALS_PER_PARAMETER = 2  # at least, for a polynomial; fewer would follow the noise
-_LENS_STEPS = 5
-_JOINT_STEPS = 2
-_CONVERGED = 2.0  # times the squares that the first linear step promised
+_DEGREES = (2, 3, 4)  # of the monomials, if there are any; 1 is the homography's
+_RESIDUALS_PER_PARAMETER = 2  # at least, for monomials; fewer would follow the noise
+_PLAIN_STEPS = 4
+_ROBUST_STEPS = 2
+_SHARES = (1.0, 0.3, 0.1, 0.03)  # of a step, tried in turn
 _LEAST_NOISE = 1e-3  # px, where nothing is known and nothing is left
 _DAMPING = 1e-12  # of a unit diagonal: what rounding leaves open stays where it is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaneFit:
-    """Parameters (P,) with their covariance for unit noise.
+    """A fitted map.
 
-    `squares` is the sum of squared whitened residuals, `used` the number of parameters that the
-    data and not the priors determine.
+    Parameters
+    ----------
+    theta : (12,) float
+        The lens.
+    rest : (P,) float
+        Coefficients of `design`, P - 12 of them of monomials.
+    covariance : (P, P) float
+        Of `rest`, for unit noise.
+    squares
+        Sum of squared whitened residuals.
+    used
+        Parameters that the data, not the priors, determine.
     """
 
     theta: FloatArray
+    rest: FloatArray
     covariance: FloatArray
     squares: float
     used: float
 
+    def project(self, lattice: FloatArray) -> FloatArray:
+        """Map normalised lattice points (N, 2) to normalised pixels (N, 2)."""
+        return _seen(self.theta, lattice) + self.design(lattice) @ self.rest
 
-def project(theta: FloatArray, lattice: FloatArray) -> FloatArray:
-    """Map normalised lattice points (N, 2) to normalised pixels (N, 2)."""
-    ideal, away, r2, _ = _lens(theta, lattice)
-    picture = ideal + away * (r2 * (theta[8] + theta[9] * r2))[:, None]
-    coefficients = theta[N_LENS:].reshape(-1, 2)
-    if len(coefficients):
-        picture = picture + _monomials(lattice, len(coefficients)) @ coefficients
-    return np.asarray(picture)
-
-
-def design(theta: FloatArray, lattice: FloatArray) -> FloatArray:
-    """Differentiate `project` by the parameters, (N, 2, P)."""
-    ideal, away, r2, weight = _lens(theta, lattice)
-    count = len(lattice)
-    outer = away[:, :, None] * away[:, None, :]
-    slope = theta[8] + 2 * theta[9] * r2  # of r^2 (k1 + k2 r^2) by r^2
-    stretch = r2 * (theta[8] + theta[9] * r2)
-    radial = stretch[:, None, None] * np.eye(2) + 2 * slope[:, None, None] * outer
-    row = np.concatenate([lattice, np.ones((count, 1))], axis=1) / weight[:, None]
-    by_ideal = np.zeros((count, 2, 8))
-    by_ideal[:, 0, 0:3] = row
-    by_ideal[:, 1, 3:6] = row
-    by_ideal[:, :, 6:8] = -ideal[:, :, None] * row[:, None, 0:2]
-    derivative = np.zeros((count, 2, len(theta)))
-    derivative[:, :, :8] = (np.eye(2) + radial) @ by_ideal
-    derivative[:, :, 8] = away * r2[:, None]
-    derivative[:, :, 9] = away * (r2 * r2)[:, None]
-    derivative[:, :, 10:12] = -radial
-    n_terms = (len(theta) - N_LENS) // 2
-    if n_terms:
-        terms = _monomials(lattice, n_terms)
-        derivative[:, 0, N_LENS::2] = terms
-        derivative[:, 1, N_LENS + 1 :: 2] = terms
-    return derivative
+    def design(self, lattice: FloatArray) -> FloatArray:
+        """Differentiate `project` by `rest`, (N, 2, P)."""
+        return _design(self.theta, lattice, (len(self.rest) - _N_LENS) // 2)
 
 
 def fit_plane(
     lattice: FloatArray, picture: FloatArray, whitening: FloatArray, *, known_noise: bool
 ) -> PlaneFit:
-    """Fit points, robustly, with the polynomial of least Bayesian information criterion.
+    """Fit points, robustly, with the monomials of least Bayesian information criterion [1]_.
 
     Parameters
     ----------
@@ -102,36 +86,76 @@ def fit_plane(
     ----------
     .. [1] G. Schwarz, "Estimating the Dimension of a Model", Ann. Statist. 6 (2), 1978.
     """
+    data = _Points(lattice, picture, whitening, known_noise)
     theta = np.concatenate([fit_homography(lattice, picture).ravel()[:8], np.zeros(4)])
-    for step in range(_LENS_STEPS):
-        if step == _LENS_STEPS // 2:
-            whitening = whitening * _robust_weights(theta, lattice, picture, whitening)
-        theta = _step(theta, lattice, picture, whitening, known_noise=known_noise).theta
-    lens = best = _step(theta, lattice, picture, whitening, known_noise=known_noise)
+    for _ in range(_PLAIN_STEPS):
+        theta = _improved(theta, data)
+    # Outliers show only now that the lens is known.
+    for _ in range(_ROBUST_STEPS):
+        theta = _improved(theta, _reweighted(data, theta))
+    weighted = _reweighted(data, theta)
+    best = _linear_fit(theta, weighted, 0)
     for degree in _DEGREES:
-        n_parameters = N_LENS + (degree + 1) * (degree + 2) - 6
-        if picture.size < _RESIDUALS_PER_PARAMETER * n_parameters:
+        n_terms = (degree + 1) * (degree + 2) // 2 - 3
+        if picture.size < _RESIDUALS_PER_PARAMETER * (_N_LENS + 2 * n_terms):
             break
-        start = np.concatenate([theta, np.zeros(n_parameters - N_LENS)])
-        fit = _step(start, lattice, picture, whitening, known_noise=known_noise)
-        if _criterion(fit, picture.size, known_noise) < _criterion(best, picture.size, known_noise):
+        fit = _linear_fit(theta, weighted, n_terms)
+        if _criterion(fit, weighted) < _criterion(best, weighted):
             best = fit
-    if best is lens:
-        return lens
-    # Homography and polynomial trade large amounts, past one linear step.
-    promised = best.squares
-    for _ in range(_JOINT_STEPS):
-        best = _step(best.theta, lattice, picture, whitening, known_noise=known_noise)
-    return best if best.squares <= _CONVERGED * promised else lens
+    return best
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Points:
+    lattice: FloatArray
+    picture: FloatArray
+    whitening: FloatArray
+    known_noise: bool
+
+    def residuals(self, theta: FloatArray) -> FloatArray:
+        """Return whitened residuals of the lens alone, (N, 2)."""
+        offset = self.picture - _seen(theta, self.lattice)
+        return np.asarray((self.whitening @ offset[..., None])[..., 0])
 
 
 def _lens(
     theta: FloatArray, lattice: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return ideal points (N, 2), their offset from the centre, its square, and the weight."""
     weight = lattice @ theta[6:8] + 1
     ideal = (lattice @ theta[[[0, 3], [1, 4]]] + theta[[2, 5]]) / weight[:, None]
     away = ideal - theta[10:12]
     return ideal, away, (away * away).sum(axis=1), weight
+
+
+def _seen(theta: FloatArray, lattice: FloatArray) -> FloatArray:
+    ideal, away, r2, _ = _lens(theta, lattice)
+    return np.asarray(ideal + away * (r2 * (theta[8] + theta[9] * r2))[:, None])
+
+
+def _design(theta: FloatArray, lattice: FloatArray, n_terms: int) -> FloatArray:
+    """Differentiate by the lens and by the x and y coefficients of each monomial."""
+    ideal, away, r2, weight = _lens(theta, lattice)
+    count = len(lattice)
+    outer = away[:, :, None] * away[:, None, :]
+    slope = theta[8] + 2 * theta[9] * r2  # of r^2 (k1 + k2 r^2) by r^2
+    stretch = r2 * (theta[8] + theta[9] * r2)
+    radial = stretch[:, None, None] * np.eye(2) + 2 * slope[:, None, None] * outer
+    row = np.concatenate([lattice, np.ones((count, 1))], axis=1) / weight[:, None]
+    by_ideal = np.zeros((count, 2, 8))
+    by_ideal[:, 0, 0:3] = row
+    by_ideal[:, 1, 3:6] = row
+    by_ideal[:, :, 6:8] = -ideal[:, :, None] * row[:, None, 0:2]
+    design = np.zeros((count, 2, _N_LENS + 2 * n_terms))
+    design[:, :, :8] = (np.eye(2) + radial) @ by_ideal
+    design[:, :, 8] = away * r2[:, None]
+    design[:, :, 9] = away * (r2 * r2)[:, None]
+    design[:, :, 10:12] = -radial
+    if n_terms:
+        terms = _monomials(lattice, n_terms)
+        design[:, 0, _N_LENS::2] = terms
+        design[:, 1, _N_LENS + 1 :: 2] = terms
+    return design
 
 
 def _monomials(lattice: FloatArray, count: int) -> FloatArray:
@@ -145,48 +169,62 @@ def _monomials(lattice: FloatArray, count: int) -> FloatArray:
     return np.stack(terms[:count], axis=1)
 
 
-def _robust_weights(
-    theta: FloatArray, lattice: FloatArray, picture: FloatArray, whitening: FloatArray
-) -> FloatArray:
-    """Return weights (N, 1, 1) of residuals: 1 up to 4 sigma, falling with the square beyond."""
-    residuals = (whitening @ (picture - project(theta, lattice))[..., None])[..., 0]
-    size = np.linalg.norm(residuals, axis=1)
+def _reweighted(data: _Points, theta: FloatArray) -> _Points:
+    """Weigh residuals by 1 up to 4 sigma, falling with the square beyond."""
+    size = np.linalg.norm(data.residuals(theta), axis=1)
     sigma = float(np.median(size)) / np.sqrt(2 * np.log(2))  # median of a Rayleigh distribution
-    return np.asarray(1 / np.maximum(1, size / max(4 * sigma, 1e-12)) ** 2)[:, None, None]
+    weights = 1 / np.maximum(1, size / max(4 * sigma, 1e-12)) ** 2
+    return replace(data, whitening=data.whitening * weights[:, None, None])
 
 
-def _step(
-    theta: FloatArray,
-    lattice: FloatArray,
-    picture: FloatArray,
-    whitening: FloatArray,
-    *,
-    known_noise: bool,
-) -> PlaneFit:
-    """Take one Gauss-Newton step; `squares` is what the linear model leaves."""
-    residuals = (whitening @ (picture - project(theta, lattice))[..., None]).ravel()
-    jacobian = (whitening @ design(theta, lattice)).reshape(residuals.size, -1)
-    noise = 1.0 if known_noise else max(float(np.sqrt((residuals**2).mean())), _LEAST_NOISE)
-    precision = np.zeros(len(theta))
+def _precision(n_parameters: int, residuals: FloatArray, data: _Points) -> FloatArray:
+    """Return the priors' precision in units of the residuals, (P,)."""
+    noise = 1.0 if data.known_noise else max(float(np.sqrt((residuals**2).mean())), _LEAST_NOISE)
+    precision = np.zeros(n_parameters)
     precision[8:] = (noise / _PRIOR_TERM) ** 2
     precision[10:12] = (noise / _PRIOR_CENTRE) ** 2
-    data = jacobian.T @ jacobian
-    normal = data + np.diag(precision)
-    scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    scaled = normal * np.outer(scale, scale) + _DAMPING * np.eye(len(scale))
+    return precision
+
+
+def _linear_fit(theta: FloatArray, data: _Points, n_terms: int) -> PlaneFit:
+    residuals = data.residuals(theta).ravel()
+    design = data.whitening @ _design(theta, data.lattice, n_terms)
+    jacobian = design.reshape(residuals.size, -1)
+    precision = _precision(jacobian.shape[1], residuals, data)
+    normal = jacobian.T @ jacobian
+    posterior = normal + np.diag(precision)
+    scale = 1 / np.sqrt(np.maximum(np.diag(posterior), 1e-300))
+    scaled = posterior * np.outer(scale, scale) + _DAMPING * np.eye(len(scale))
     covariance = np.linalg.inv(scaled) * np.outer(scale, scale)
-    step = covariance @ (jacobian.T @ residuals - precision * theta)
-    left = residuals - jacobian @ step
+    right = jacobian.T @ residuals
+    right[:_N_LENS] -= precision[:_N_LENS] * theta
+    rest = covariance @ right
+    left = residuals - jacobian @ rest
     return PlaneFit(
-        theta=theta + step,
+        theta=theta,
+        rest=rest,
         covariance=covariance,
         squares=float(left @ left),
-        used=float((data * covariance).sum()),
+        used=float((normal * covariance).sum()),
     )
 
 
-def _criterion(fit: PlaneFit, n_data: int, known_noise: bool) -> float:  # noqa: FBT001 (internal)
-    loss = fit.squares
-    if not known_noise:
-        loss = n_data * math.log(max(fit.squares / n_data, _LEAST_NOISE**2))
-    return loss + fit.used * math.log(n_data)
+def _improved(theta: FloatArray, data: _Points) -> FloatArray:
+    """Go a Gauss-Newton step of the lens, or the part of it that lowers the cost."""
+    precision = _precision(_N_LENS, data.residuals(theta), data)
+
+    def cost(at: FloatArray) -> float:
+        return float((data.residuals(at) ** 2).sum() + precision @ at**2)
+
+    now, step = cost(theta), _linear_fit(theta, data, 0).rest
+    for share in _SHARES:
+        if cost(theta + share * step) < now:
+            return np.asarray(theta + share * step)
+    return theta
+
+
+def _criterion(fit: PlaneFit, data: _Points) -> float:
+    count, loss = data.picture.size, fit.squares
+    if not data.known_noise:
+        loss = count * math.log(max(fit.squares / count, _LEAST_NOISE**2))
+    return loss + fit.used * math.log(count)
