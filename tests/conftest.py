@@ -1,6 +1,7 @@
 """Shared fixtures: seeded noise, the folder of test data, a small simulated recording."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,15 @@ from calichrome.synthetic import random_scene, write_recording
 from calichrome.target import Target, colour_checker_palette, design_target
 
 _DEFAULT_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A cache folder of this run of the tests: the user's own is never touched."""
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CALICHROME_CACHE", str(folder))
+        yield folder
 
 
 @pytest.fixture

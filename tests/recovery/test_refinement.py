@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from calichrome.core.arrays import BoolArray, FloatArray, IntArray
+from calichrome.core.arrays import FloatArray, IntArray
 from calichrome.core.homography import apply_homography
 from calichrome.detection.corner_pixels import Discs
 from calichrome.detection.levels import Levels
@@ -48,9 +48,8 @@ def _picture(homography: FloatArray, disc_ratio: float = 0) -> NDArray[np.float3
 
 
 def _levels(picture: NDArray[np.floating]) -> Levels:
-    def levels(column: IntArray, row: IntArray) -> tuple[FloatArray, BoolArray]:
-        seen = picture[row, column].astype(np.float64)
-        return seen, seen < 0.995
+    def levels(column: IntArray, row: IntArray) -> FloatArray:
+        return np.asarray(picture[row, column], dtype=np.float64)
 
     return levels
 
@@ -58,7 +57,7 @@ def _levels(picture: NDArray[np.floating]) -> Levels:
 def _refined(
     picture: NDArray[np.floating], start: FloatArray, discs: Discs = _NO_DISCS
 ) -> RefinedCorners:
-    return refine_corners(_levels(picture), start, _INDICES, _WHITE, discs, _SIZE_WH)
+    return refine_corners([_levels(picture)], start, _INDICES, _WHITE, discs, _SIZE_WH)
 
 
 @pytest.fixture(scope="module")
@@ -149,3 +148,26 @@ def test_a_start_far_off_the_others_is_pulled_in(
     start[9] += 2.0
     found = _refined(_noisy(clean, 0.004, rng), start)
     np.testing.assert_allclose(found.corners_px[9], truth[9], atol=0.03)
+
+
+def test_clipped_white_does_not_pull(
+    clean: NDArray[np.float32], truth: FloatArray, rng: np.random.Generator
+) -> None:
+    picture = np.minimum(_noisy(1.6 * clean, 0.004, rng), 1.0)
+    assert (picture[20:160, 40:190] == 1).mean() > 0.3
+    found = _refined(picture, truth + rng.uniform(-0.3, 0.3, truth.shape))
+    np.testing.assert_allclose(found.corners_px, truth, atol=0.03)
+
+
+@pytest.mark.parametrize("encoded", [True, False])
+def test_edges_tell_whether_the_picture_is_encoded(
+    encoded: bool,  # noqa: FBT001 (parameter)
+    clean: NDArray[np.float32],
+    truth: FloatArray,
+    rng: np.random.Generator,
+) -> None:
+    picture = _noisy(clean ** (1 / 2.2) if encoded else clean, 0.004, rng)
+    readings = [_levels(picture**2.2), _levels(picture)]
+    found = refine_corners(readings, truth, _INDICES, _WHITE, _NO_DISCS, _SIZE_WH)
+    assert found.reading == (0 if encoded else 1)
+    np.testing.assert_allclose(found.corners_px, truth, atol=0.02)

@@ -12,6 +12,7 @@ from calichrome.core.files import check_output
 from calichrome.errors import OutputError, RecordingError
 from calichrome.imaging.sizes import parse_size
 from calichrome.pipeline.calibrate import CalibrationSettings, run, run_on_corners
+from calichrome.pipeline.detect import DetectionSettings
 from calichrome.report.text import summary
 from calichrome.rig import rig_to_json, save_rig
 
@@ -29,6 +30,9 @@ class Calibrate(Command):
     settings: Annotated[CalibrationSettings, tyro.conf.OmitArgPrefixes] = field(
         default_factory=CalibrationSettings
     )
+    search: Annotated[
+        DetectionSettings, tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff
+    ] = field(default_factory=DetectionSettings)
     corners: Path | None = None
     """Use these corners (NAME.csv of `detect`) instead of detecting."""
     size: tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]] = ()
@@ -52,7 +56,7 @@ class Calibrate(Command):
             elif self.recording is None:
                 raise RecordingError("nothing to calibrate; give a RECORDING or --corners NAME.csv")
             else:
-                done = run(self.recording, settings, progress=progress)
+                done = run(self.recording, settings, detecting=self.search, progress=progress)
         save_rig(done.rig, done.evidence, self.output, force=self.force)
         reading = "" if done.recording is None else f"{done.recording.reading}\n"
         ignored = () if done.recording is None else done.recording.ignored

@@ -4,10 +4,11 @@ import numpy as np
 
 from calichrome.detection.corners import corner_spacing, find_corner_grid, refine_corners
 from calichrome.detection.discs import local_homographies, measure_discs
+from calichrome.detection.fiducials import detect_coded_board
 from calichrome.detection.lattice import goes_on, is_regular, orient_grid
 from calichrome.imaging import Image
 from calichrome.observations import BoardView, NotFound
-from calichrome.target import Target
+from calichrome.target import CodedTarget, Target
 
 __all__ = ["detect_board"]
 
@@ -33,6 +34,8 @@ def detect_board(image: Image, target: Target) -> BoardView | NotFound:
     NotFound
         With a reason that a person at the camera can act on.
     """
+    if isinstance(target, CodedTarget):
+        return detect_coded_board(image, target)
     grey = image.grey()
     grey8 = np.rint(np.clip(grey, 0, 255)).astype(np.uint8)
     grid = find_corner_grid(grey8, target.corners_xy)

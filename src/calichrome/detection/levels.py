@@ -5,6 +5,7 @@ filter): under a blue lamp that is mostly blue, and a channel in which white cli
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,11 +14,10 @@ from calichrome.detection.board_map import EdgeBend
 from calichrome.detection.pixels import linear_light, nearest_pixels
 from calichrome.imaging import Image
 
-__all__ = ["Levels", "best_mix", "levels_of"]
+__all__ = ["Levels", "best_mix", "readings_of"]
 
-Levels = Callable[[IntArray, IntArray], tuple[FloatArray, BoolArray]]
-"""Columns and rows (P,) to linear levels, 0..1 of full scale, and whether each can be trusted (is
-not clipped)."""
+Levels = Callable[[IntArray, IntArray], FloatArray]
+"""Columns and rows (P,) to levels, 0..1 of full scale."""
 
 
 _OFF_CORNER = 0.2  # squares along both edges: inside the square, clear of discs of up to 0.7
@@ -55,16 +55,20 @@ def best_mix(image: Image, corners_px: FloatArray, edges: EdgeBend, white: BoolA
     return np.asarray(weights / weights.sum())
 
 
-def levels_of(image: Image, mix: FloatArray) -> Levels:
-    """Return the levels of a picture in a mix of its channels; grey pictures have only one."""
-    used = np.flatnonzero(mix > 0)
+def readings_of(image: Image, mix: FloatArray) -> tuple[Levels, ...]:
+    """Return what the levels of a picture may be, in a mix of its channels: as declared, as stored.
 
-    def levels(column: IntArray, row: IntArray) -> tuple[FloatArray, BoolArray]:
-        numbers = image.pixels[row, column]
-        light = linear_light(image, numbers)
-        clipped = numbers >= _NEARLY_FULL * image.full_scale
-        if image.is_colour:
-            return light @ mix, np.asarray(~clipped[:, used].any(axis=1))
-        return light, np.asarray(~clipped)
+    Few files say how they were encoded, and machine-vision cameras store light as it comes.
+    """
+    declared = _levels_of(image, mix)
+    if image.encoding == "linear":
+        return (declared,)
+    return declared, _levels_of(replace(image, encoding="linear"), mix)
+
+
+def _levels_of(image: Image, mix: FloatArray) -> Levels:
+    def levels(column: IntArray, row: IntArray) -> FloatArray:
+        light = linear_light(image, image.pixels[row, column])
+        return light @ mix if image.is_colour else light
 
     return levels

@@ -1,12 +1,14 @@
 """Corners to the limit of the pixels: a maximum-likelihood fit of blurred saddles, with covariance.
 
 Mirrored at the corner, the saddle keeps its value: its levels, blur and edge directions are even
-functions and cannot pull the position. Only what is odd can: the curvature of the edges and the
+functions and cannot pull the position; nor can clipping or a wrong encoding, which act on each
+pixel alone. Only what is odd can: the curvature of the edges and the
 gradient of the light. Both are smooth over the board, so a first pass fits every corner alone in a
 small window, the board tells curvature and light from all of them, and a second pass fits the
 whole cell of each corner with these as priors of known spread.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,6 +42,10 @@ _STEP_LIMITS = np.array([1.5, 1.5, 0.2, 0.2, 0.4, np.inf, np.inf])  # px, px, ra
 _OUTLIER_SIGMAS = 5.0
 _OUTLIER_LEVEL = 8 / 255  # what the model may be wrong by, beyond noise
 _PIXELS_AT_ONCE = 4000
+_FLAT = 0.8  # of the way from edge to white: 1.3 sigma of the blur beside an edge
+_FEWEST_PIXELS_OF_LEVEL = 100
+_LEAST_SHARE = 0.3  # of the largest noise: clipped white has none, and must not outweigh all else
+_LEAST_NOISE = 1e-4  # of full scale, so that pictures without noise have weights too
 _MIN_PIXELS = 14  # twice the parameters that a corner determines alone
 _FARTHEST_MOVE_PX = 2.5
 _LARGEST_SIGMA_PX = 0.5  # beyond, a corner was found better than it can be fitted
@@ -62,10 +68,12 @@ class RefinedCorners:
     blur_px
         Median sigma of the blur, including the pixel's own.
     noise
-        Median standard deviation of the residuals, 0..1 of full scale.
+        Standard deviation of the pixels, 0..1 of full scale: mean of black, edges and white.
     disagreement
         Mean squared misfit of the corners to a smooth map, in units of what white noise lets
         expect; `cov_px` is scaled by it. nan if too few corners tell; then it is not.
+    reading
+        Which reading of the picture was used.
     """
 
     corners_px: FloatArray
@@ -74,16 +82,55 @@ class RefinedCorners:
     blur_px: float
     noise: float
     disagreement: float
+    reading: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _NoiseOfLevels:
+    """Standard deviation (3,) of pixels that are black, half way and white, levels 0..1.
+
+    Light is noisier than darkness, above all where an encoding was removed; half way lie the
+    edges, which print and lens blur as they like.
+    """
+
+    sigma: FloatArray
+
+    @classmethod
+    def of(cls, residuals: FloatArray, brightness: FloatArray) -> "_NoiseOfLevels":
+        """Estimate from residuals (P,) at brightness (P,), -1 black to 1 white."""
+        group = np.digitize(brightness, [-_FLAT, _FLAT])
+        every = _robust_sigma(residuals)
+        sigma = [
+            _robust_sigma(residuals[group == index])
+            if np.count_nonzero(group == index) >= _FEWEST_PIXELS_OF_LEVEL
+            else every
+            for index in range(3)
+        ]
+        return cls(np.maximum(sigma, max(_LEAST_SHARE * max(sigma), _LEAST_NOISE)))
+
+    def weights(self, residuals: FloatArray, brightness: FloatArray) -> FloatArray:
+        """Return 1 / sigma (P,), 0 for outliers."""
+        sigma = np.interp(brightness, [-1, 0, 1], self.sigma)
+        return (np.abs(residuals) <= _OUTLIER_SIGMAS * sigma + _OUTLIER_LEVEL) / sigma
+
+
+def _robust_sigma(residuals: FloatArray) -> float:
+    return 1.4826 * float(np.median(np.abs(residuals))) if len(residuals) else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Equations:
-    """J'J (N, n, n), J'r (N, n), r'r (N,) and how many pixels count (N,)."""
+    """J'J (N, n, n), J'r (N, n), r'r (N,) and how many pixels count (N,).
+
+    `residuals` and `brightness` (P,) are those of the pixels, not weighted.
+    """
 
     normal: FloatArray
     right: FloatArray
     squares: FloatArray
     n_pixels: IntArray
+    residuals: FloatArray
+    brightness: FloatArray
 
     def squares_after(self, steps: FloatArray) -> FloatArray:
         """Sum of squared residuals after steps (N, n), of the linearised model."""
@@ -91,15 +138,33 @@ class _Equations:
         bent = (self.normal @ steps[..., None])[..., 0]
         return np.asarray(self.squares - gain + (steps * bent).sum(axis=1))
 
-    def noise(self, squares: FloatArray) -> float:
-        """Return the standard deviation of the residuals of the median corner."""
+    def variance(self, squares: FloatArray) -> float:
+        """Return the variance of the residuals of the median corner."""
         told = self.n_pixels > _MIN_PIXELS
-        variance = squares[told] / (self.n_pixels[told] - _N_ALONE)
-        return float(np.sqrt(np.median(variance))) if told.any() else _OUTLIER_LEVEL
+        if not told.any():
+            return _OUTLIER_LEVEL**2
+        return float(np.median(squares[told] / (self.n_pixels[told] - _N_ALONE)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Alone:
+    """What corners say each for itself; `cov_px` (N, 2, 2) is nan where they say nothing."""
+
+    parameters: SaddleParameters
+    cov_px: FloatArray
+    noise: _NoiseOfLevels
+
+    @property
+    def edge_misfit(self) -> float:
+        """Residuals half way between black and white, as a share of the contrast.
+
+        In light, a blurred edge is as steep below as above its middle; an encoding bends it.
+        """
+        return float(self.noise.sigma[1] / np.median(np.abs(self.parameters.values[:, 6])))
 
 
 def refine_corners(
-    levels: Levels,
+    readings: Sequence[Levels],
     start_px: FloatArray,
     indices: IntArray,
     white: BoolArray,
@@ -110,8 +175,9 @@ def refine_corners(
 
     Parameters
     ----------
-    levels
-        The picture, in linear light.
+    readings
+        The picture in linear light; where its encoding is not certain, as it would be for each
+        that is possible. The one in which the edges look most like blurred edges is used.
     start_px : (N, 2) float
         Corners to about half a pixel.
     indices : (N, 2) int
@@ -127,8 +193,13 @@ def refine_corners(
     board_map = BoardMap.fit(lattice, start_px, size_wh)
     start_px = _pulled_in(start_px, board_map(lattice))
     edges = board_map.edges(lattice)
-    parameters = _start(levels, start_px, edges, white, size_wh)
-    parameters, alone_cov, noise = _fit_alone(levels, parameters, edges, size_wh)
+    alone = [
+        _fit_alone(levels, _start(levels, start_px, edges, white, size_wh), edges, size_wh)
+        for levels in readings
+    ]
+    reading = int(np.argmin([one.edge_misfit for one in alone]))
+    levels, parameters = readings[reading], alone[reading].parameters
+    alone_cov, noise = alone[reading].cov_px, alone[reading].noise
 
     good = np.isfinite(alone_cov).all(axis=(1, 2))
     good &= np.linalg.norm(parameters.positions_px - start_px, axis=1) < _FARTHEST_MOVE_PX
@@ -143,7 +214,7 @@ def refine_corners(
     pixels = clear_of_discs(
         pixels, parameters.positions_px, edges, indices, discs.on(board_map), blur
     )
-    parameters, cov_px, noise, n_pixels = _fit_cells(levels, parameters, pixels, precision, noise)
+    parameters, cov_px, n_pixels = _fit_cells(levels, parameters, pixels, precision, noise)
     fitted = good & (n_pixels >= _MIN_PIXELS)
     fitted &= np.linalg.eigvalsh(cov_px)[:, 1] < _LARGEST_SIGMA_PX**2
     fitted &= np.linalg.norm(parameters.positions_px - start_px, axis=1) < _FARTHEST_MOVE_PX
@@ -154,8 +225,9 @@ def refine_corners(
         cov_px=cov_px,
         fitted=fitted,
         blur_px=blur,
-        noise=noise,
+        noise=float(noise.sigma.mean()),
         disagreement=float("nan"),
+        reading=reading,
     )
     return _judged(fine, start_px, lattice, size_wh)
 
@@ -188,8 +260,8 @@ def _start(
     diagonals = (edges.along_i + edges.along_j, edges.along_i - edges.along_j)
     places = [start_px + 0.2 * sign * step for step in diagonals for sign in (1, -1)]
     at = np.clip(np.rint(places), 0, np.array(size_wh) - 1).astype(np.int64)
-    same, _ = levels(at[:2, :, 0].ravel(), at[:2, :, 1].ravel())
-    opposite, _ = levels(at[2:, :, 0].ravel(), at[2:, :, 1].ravel())
+    same = levels(at[:2, :, 0].ravel(), at[:2, :, 1].ravel())
+    opposite = levels(at[2:, :, 0].ravel(), at[2:, :, 1].ravel())
     same, opposite = same.reshape(2, -1).mean(axis=0), opposite.reshape(2, -1).mean(axis=0)
     values[:, 5] = (same + opposite) / 2
     contrast = np.abs(same - opposite) / 2
@@ -200,7 +272,7 @@ def _start(
 
 def _fit_alone(
     levels: Levels, parameters: SaddleParameters, edges: EdgeBend, size_wh: tuple[int, int]
-) -> tuple[SaddleParameters, FloatArray, float]:
+) -> _Alone:
     """Fit the seven own parameters of every corner in a small window."""
     square = np.minimum(
         np.linalg.norm(edges.along_i, axis=1), np.linalg.norm(edges.along_j, axis=1)
@@ -213,18 +285,18 @@ def _fit_alone(
         pixels = pixels_along_edges(
             parameters.positions_px, edges, reach, _BAND_SIGMAS * blur, size_wh
         )
-        seen, usable = levels(pixels.column, pixels.row)
-        pixels, seen = pixels.only(usable), seen[usable]
+        seen = levels(pixels.column, pixels.row)
         for _ in range(_FIRST_STEPS):
             equations = _normal_equations(parameters, pixels, seen, _N_ALONE)
             steps = _solved(equations.normal, equations.right)
             steps = np.clip(steps, -_STEP_LIMITS, _STEP_LIMITS)
             moves[:, :_N_ALONE] = steps
             parameters = parameters.moved(moves)
-    noise = equations.noise(equations.squares_after(steps))
-    cov_px = _inverse(equations.normal)[:, :2, :2] * noise**2
+    variance = equations.variance(equations.squares_after(steps))
+    cov_px = _inverse(equations.normal)[:, :2, :2] * variance
     cov_px[equations.n_pixels < _MIN_PIXELS] = np.nan
-    return parameters, cov_px, noise
+    noise = _NoiseOfLevels.of(equations.residuals, equations.brightness)
+    return _Alone(parameters, cov_px, noise)
 
 
 def _with_board_knowledge(
@@ -259,19 +331,19 @@ def _fit_cells(
     parameters: SaddleParameters,
     pixels: CornerPixels,
     precision: FloatArray,
-    noise: float,
-) -> tuple[SaddleParameters, FloatArray, float, IntArray]:
+    noise: _NoiseOfLevels,
+) -> tuple[SaddleParameters, FloatArray, IntArray]:
     """Fit all parameters of every corner in its whole cell, one step from the first pass."""
-    seen, usable = levels(pixels.column, pixels.row)
-    pixels, seen = pixels.only(usable), seen[usable]
-    outlier = _OUTLIER_SIGMAS * noise + _OUTLIER_LEVEL
-    equations = _normal_equations(parameters, pixels, seen, N_PARAMETERS, outlier)
-    for _ in range(2):  # the second time with the noise of the first
-        information = equations.normal / noise**2 + precision
-        steps = _solved(information, equations.right / noise**2)
-        noise = equations.noise(equations.squares_after(steps))
+    seen = levels(pixels.column, pixels.row)
+    equations = _normal_equations(parameters, pixels, seen, N_PARAMETERS, noise)
+    variance = 1.0
+    for _ in range(2):  # the second time with the residuals of the first
+        information = equations.normal / variance + precision
+        steps = _solved(information, equations.right / variance)
+        variance = equations.variance(equations.squares_after(steps))
     steps[:, :_N_ALONE] = np.clip(steps[:, :_N_ALONE], -_STEP_LIMITS, _STEP_LIMITS)
-    return parameters.moved(steps), _inverse(information)[:, :2, :2], noise, equations.n_pixels
+    cov_px = _inverse(equations.normal / variance + precision)[:, :2, :2]
+    return parameters.moved(steps), cov_px, equations.n_pixels
 
 
 def _normal_equations(
@@ -279,36 +351,41 @@ def _normal_equations(
     pixels: CornerPixels,
     seen: FloatArray,
     n_free: int,
-    outlier: float = np.inf,
+    noise: _NoiseOfLevels | None = None,
 ) -> _Equations:
-    """Linearise the model at the pixels; residuals beyond `outlier` do not count."""
+    """Linearise the model at the pixels, weighted by their noise if that is known."""
     count = len(parameters)
     ranges = pixels.ranges(count)
     products = np.empty((count, n_free + 1, n_free + 1))
     n_pixels = np.zeros(count, dtype=np.int64)
+    residuals, brightness = np.empty(len(pixels)), np.empty(len(pixels))
+    sign = np.sign(parameters.values[:, 6])
     # A few corners at a time, so that the arrays stay in the processor's cache.
     groups = np.searchsorted(ranges, np.arange(0, len(pixels), _PIXELS_AT_ONCE))
-    borders = np.unique(np.concatenate([groups, [count]]))
     first = 0
-    for last in borders:
+    for last in np.unique(np.concatenate([groups, [count]])):
         span = slice(ranges[first], ranges[last])
+        corner = pixels.corner[span]
         predicted, derivatives = saddle_and_derivatives(
-            parameters, pixels.corner[span], pixels.points[span], n_free
+            parameters, corner, pixels.points[span], n_free
         )
-        residuals = seen[span] - predicted
-        stacked = np.concatenate([derivatives, residuals[None]])
-        if np.isfinite(outlier):
-            stacked *= np.abs(residuals) <= outlier
-        for corner in range(first, last):
-            own = stacked[:, ranges[corner] - span.start : ranges[corner + 1] - span.start]
-            np.matmul(own, own.T, out=products[corner])
-            n_pixels[corner] = np.count_nonzero(own[5])  # dI / da = 1 where a pixel counts
+        residuals[span] = seen[span] - predicted
+        brightness[span] = derivatives[6] * sign[corner]  # dI / db is the saddle, -1..1
+        stacked = np.concatenate([derivatives, residuals[None, span]])
+        if noise is not None:
+            stacked *= noise.weights(residuals[span], brightness[span])
+        for index in range(first, last):
+            own = stacked[:, ranges[index] - span.start : ranges[index + 1] - span.start]
+            np.matmul(own, own.T, out=products[index])
+            n_pixels[index] = np.count_nonzero(own[5])  # dI / da is 1 where a pixel counts
         first = last
     return _Equations(
-        products[:, :n_free, :n_free],
-        products[:, :n_free, n_free],
-        products[:, n_free, n_free],
-        n_pixels,
+        normal=products[:, :n_free, :n_free],
+        right=products[:, :n_free, n_free],
+        squares=products[:, n_free, n_free],
+        n_pixels=n_pixels,
+        residuals=residuals,
+        brightness=brightness,
     )
 
 
@@ -369,5 +446,6 @@ def _nothing_fitted(start_px: FloatArray, mapped: FloatArray) -> RefinedCorners:
         blur_px=float("nan"),
         noise=float("nan"),
         disagreement=float("nan"),
+        reading=0,
     )
     return _with_doubtful(unknown, unknown.fitted, start_px, mapped)

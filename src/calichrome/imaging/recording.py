@@ -1,19 +1,22 @@
-"""A folder of pictures, read as cameras and frames."""
+"""A folder of pictures or videos, read as cameras and frames."""
 
+import hashlib
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from calichrome.errors import RecordingError
-from calichrome.imaging.files import MAX_MEGAPIXELS, PICTURE_SUFFIXES, read_image
+from calichrome.imaging.files import MAX_MEGAPIXELS, PICTURE_SUFFIXES, read_image, read_size
 from calichrome.imaging.header import Unreadable
 from calichrome.imaging.image import Image
 from calichrome.imaging.pattern import NamePattern
 from calichrome.imaging.recording_file import CameraEntry, RecordingFile, read_recording_file
+from calichrome.imaging.recording_videos import VideoFrames, open_videos, video_files
+from calichrome.imaging.video import read_frame
 
-__all__ = ["Recording", "open_recording", "picture_files"]
+__all__ = ["Recording", "open_recording", "picture_files", "read_names"]
 
 _BACKGROUND = "background"
 
@@ -27,13 +30,17 @@ class Recording:
     folder
         The recording.
     files
-        camera id -> frame id -> file; same frame id = same instant.
+        camera id -> frame id -> file that holds it; same frame id = same instant.
     ignored
         Pictures that the reading leaves out.
     reading
         How the names were understood, in words.
     settings
         recording.toml.
+    max_megapixels
+        Larger pictures are refused before decoding.
+    videos
+        Where the frames are those of videos.
     """
 
     folder: Path
@@ -42,6 +49,7 @@ class Recording:
     reading: str = ""
     settings: RecordingFile = field(default_factory=RecordingFile)
     max_megapixels: float = MAX_MEGAPIXELS
+    videos: VideoFrames = field(default_factory=VideoFrames)
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -60,12 +68,42 @@ class Recording:
     def read(self, camera_id: str, frame_id: str) -> Image | Unreadable:
         """Read one picture with the encoding stated for its camera."""
         entry = self.entry(camera_id)
+        encoding = None if entry.encoding == "unknown" else entry.encoding
+        if camera_id in self.videos.videos:
+            number = self.videos.table.numbers[camera_id][frame_id]
+            video = self.videos.videos[camera_id]
+            return read_frame(video, number, encoding=encoding, bits=entry.bits)
         return read_image(
             self.files[camera_id][frame_id],
-            encoding=None if entry.encoding == "unknown" else entry.encoding,
+            encoding=encoding,
             bits=entry.bits,
             max_megapixels=self.max_megapixels,
         )
+
+    def read_size(self, camera_id: str) -> tuple[int, int] | Unreadable:
+        """Return width and height of a camera's first picture that can be read, undecoded."""
+        if camera_id in self.videos.videos:
+            return self.videos.videos[camera_id].size_wh
+        size: tuple[int, int] | Unreadable = Unreadable("there is no picture")
+        for path in self.files[camera_id].values():
+            size = read_size(path, max_megapixels=self.max_megapixels)
+            if not isinstance(size, Unreadable):
+                return size
+        return size
+
+    def content_sum(self, camera_id: str, frame_id: str) -> str:
+        """Return the SHA-256 sum that `Image.sha256` of a frame will be, without decoding it.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be read.
+        """
+        if camera_id in self.videos.videos:
+            number = self.videos.table.numbers[camera_id][frame_id]
+            return self.videos.videos[camera_id].frame_sum(number)
+        with self.files[camera_id][frame_id].open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def picture_files(folder: Path) -> list[Path]:
@@ -92,7 +130,8 @@ def open_recording(
     Parameters
     ----------
     folder
-        ``folder/<camera>/<frame>.png``, a flat folder of one camera, or what `pattern` says.
+        ``folder/<camera>/<frame>.png``, a flat folder of one camera, what `pattern` says, or
+        videos ``folder/<camera>.mp4``.
     pattern
         See `NamePattern`; over what recording.toml says.
     cameras
@@ -111,27 +150,23 @@ def open_recording(
         what = "is not a folder" if folder.exists() else "does not exist"
         raise RecordingError(f"{folder} {what}; give the folder that holds the pictures")
     settings = read_recording_file(folder / "recording.toml")
-    paths = picture_files(folder)
-    if not paths:
+    paths, clips = picture_files(folder), video_files(folder)
+    text = pattern or settings.pattern
+    videos = VideoFrames()
+    if clips:
+        _check_only_videos(folder, paths, clips, text)
+        videos = open_videos(folder, clips, cameras=cameras, max_megapixels=max_megapixels)
+        files, reading = _read_videos(videos)
+    elif not paths:
         kinds = ", ".join(PICTURE_SUFFIXES)
         raise RecordingError(
-            f"{folder}: holds no pictures ({kinds}); videos and raw files are not read by this "
-            f"release: extract their frames as PNG or 16-bit TIFF"
+            f"{folder}: holds no pictures ({kinds}) and no videos; raw files are not read by this "
+            f"release: extract them as linear 16-bit TIFF"
         )
-    text = pattern or settings.pattern
-    if text is not None:
-        files = _read_by_pattern(folder, paths, NamePattern.compile(text))
-        reading = f"read by the pattern {text}"
-        if not files:
-            example = _stem(folder, paths[0])
-            raise RecordingError(
-                f"{folder}: none of {len(paths)} pictures matches --pattern {text}; names look "
-                f"like {example}"
-            )
     else:
-        files, reading = _read_layout(folder, paths)
+        files, reading = read_names(folder, paths, text)
     files = _without_background(files)
-    _check_entries(settings, files, folder)
+    _check_entries(settings, {path.stem for path in clips} | set(files), folder)
     files = _only(files, cameras, folder)
     if synchronous:
         _check_common_frames(files, folder)
@@ -146,10 +181,65 @@ def open_recording(
         reading=reading,
         settings=settings,
         max_megapixels=max_megapixels,
+        videos=videos,
     )
 
 
 Files = dict[str, dict[str, Path]]
+
+
+def _check_only_videos(
+    folder: Path, paths: Sequence[Path], clips: Sequence[Path], pattern: str | None
+) -> None:
+    used = [path for path in paths if path.relative_to(folder).parts[0] != _BACKGROUND]
+    if used:
+        raise RecordingError(
+            f"{folder}: holds videos (like {clips[0].name}) and pictures (like "
+            f"{used[0].relative_to(folder)}); put one kind into another folder"
+        )
+    if pattern is not None:
+        raise RecordingError(
+            f"{folder}: holds videos, of which the name is the camera and the number the frame; "
+            f"leave out --pattern"
+        )
+
+
+def _read_videos(videos: VideoFrames) -> tuple[Files, str]:
+    numbers = videos.table.numbers
+    files = {
+        camera: dict.fromkeys(numbers[camera], video.path)
+        for camera, video in videos.videos.items()
+    }
+    extra = f"; {videos.table.reading}" if videos.table.reading else ""
+    return files, f"videos are cameras: {', '.join(sorted(files, key=_natural))}{extra}"
+
+
+def read_names(folder: Path, paths: Sequence[Path], pattern: str | None) -> tuple[Files, str]:
+    """Read names of pictures as cameras and frames; say how.
+
+    Parameters
+    ----------
+    folder
+        The folder that the names are relative to.
+    paths
+        Pictures below it; they need not exist.
+    pattern
+        See `NamePattern`; None: the layout is recognised.
+
+    Raises
+    ------
+    RecordingError
+        If no name matches, or several readings are possible.
+    """
+    if pattern is None:
+        return _read_layout(folder, paths)
+    files = _read_by_pattern(folder, paths, NamePattern.compile(pattern))
+    if not files:
+        raise RecordingError(
+            f"{folder}: none of {len(paths)} pictures matches --pattern {pattern}; names look like "
+            f"{_stem(folder, paths[0])}"
+        )
+    return files, f"read by the pattern {pattern}"
 
 
 def _natural(name: str) -> list[tuple[bool, int, str]]:
@@ -265,12 +355,12 @@ def _without_background(files: Files) -> Files:
     return {camera: frames for camera, frames in kept.items() if frames}
 
 
-def _check_entries(settings: RecordingFile, files: Files, folder: Path) -> None:
-    unknown = [camera for camera in settings.cameras if camera not in files]
-    if unknown and files:
+def _check_entries(settings: RecordingFile, known: Collection[str], folder: Path) -> None:
+    unknown = [camera for camera in settings.cameras if camera not in known]
+    if unknown and known:
         raise RecordingError(
             f"{folder / 'recording.toml'}: cameras.{unknown[0]} is not among the cameras "
-            f"{', '.join(sorted(files))}; correct the name"
+            f"{', '.join(sorted(known))}; correct the name"
         )
 
 

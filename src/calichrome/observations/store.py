@@ -13,6 +13,7 @@ from calichrome.core.files import refuse_existing, writing_file
 from calichrome.errors import FileFormatError
 from calichrome.observations.board_view import BoardView, DiscSamples
 from calichrome.observations.dataset import Dataset
+from calichrome.observations.vnl import read_vnl
 
 __all__ = ["read_corners", "write_observations"]
 
@@ -96,8 +97,14 @@ def _marker_rows(dataset: Dataset) -> Iterator[list[object]]:
                 ]  # fmt: skip
 
 
-def read_corners(path: Path, sizes_wh: Mapping[str, tuple[int, int]], n_corners: int) -> Dataset:
-    """Read NAME.csv and, if it is there, NAME.markers.csv.
+def read_corners(
+    path: Path,
+    sizes_wh: Mapping[str, tuple[int, int]],
+    n_corners: int,
+    *,
+    pattern: str | None = None,
+) -> Dataset:
+    """Read NAME.csv and, if it is there, NAME.markers.csv; or mrcal's NAME.vnl.
 
     Parameters
     ----------
@@ -107,12 +114,16 @@ def read_corners(path: Path, sizes_wh: Mapping[str, tuple[int, int]], n_corners:
         Picture sizes of the cameras, pixels.
     n_corners
         Number of inner corners of the target.
+    pattern
+        How file names in a .vnl are built; see `NamePattern`.
 
     Raises
     ------
     FileFormatError
         Naming the line and the column.
     """
+    if path.suffix.lower() == ".vnl":
+        return read_vnl(path, sizes_wh, n_corners, pattern=pattern)
     corners: dict[tuple[str, str], list[tuple[int, list[float]]]] = defaultdict(list)
     for line, row in _read(path, _CORNERS[:5]):
         corner = _integer(row, "corner", path, line)

@@ -19,17 +19,19 @@ from calichrome.geometry.held_out import held_out_rms_px
 from calichrome.geometry.lenses import BrownConrady
 from calichrome.geometry.rig_solve import RigSolution, solve_rig_pairwise
 from calichrome.imaging import (
+    MAX_FRAMES,
     MAX_MEGAPIXELS,
     Image,
     Recording,
     Unreadable,
+    choose_frames,
     open_recording,
-    read_size,
 )
 from calichrome.observations import BoardView, Dataset, read_corners
 from calichrome.pipeline.assemble import assemble_rig, gather_evidence
 from calichrome.pipeline.detect import (
     Detection,
+    DetectionSettings,
     Progress,
     detect_recording,
     find_target,
@@ -56,8 +58,10 @@ class CalibrationSettings:
     Parameters
     ----------
     target
-        target.json, or chessboard:NxM:SIZE with NxM inner corners (for example
-        chessboard:9x6:30mm). Default: target.json in the recording.
+        target.json; chessboard:NxM:SIZE with NxM inner corners (chessboard:9x6:30mm);
+        charuco:COLSxROWS:DICT:SQUARE:MARKER (squares; charuco:7x5:4X4_50:30mm:22mm, and :inverted
+        for white codes on black); or aprilgrid:COLSxROWS:FAMILY:SIZE:SPACING (tags;
+        aprilgrid:6x6:36h11:88mm:0.3). Default: target.json in the recording.
     square
         Measured size of a square, like 39.7mm or 39.7x39.9mm; overrides the target's.
     pattern
@@ -70,6 +74,8 @@ class CalibrationSettings:
         Default: the camera with the least total path error.
     max_megapixels
         Refuse larger pictures before decoding them.
+    max_frames
+        Of videos: how many frames of each camera to look at; sharp, still and different ones.
     """
 
     target: str | None = None
@@ -79,6 +85,7 @@ class CalibrationSettings:
     method: Literal["pairwise"] = "pairwise"
     reference_camera: str | None = None
     max_megapixels: float = MAX_MEGAPIXELS
+    max_frames: int = MAX_FRAMES
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -95,19 +102,27 @@ def calibrate(
     recording: Path | str,
     settings: CalibrationSettings | None = None,
     *,
+    detecting: DetectionSettings | None = None,
     progress: Progress = silent,
 ) -> Rig:
-    """Calibrate the cameras of a recording; see `CalibrationSettings`.
+    """Calibrate the cameras of a recording; see `CalibrationSettings` and `DetectionSettings`.
 
     Raises
     ------
     CalichromeError
         One sentence that says what is wrong and what to do.
     """
-    return run(Path(recording), settings or CalibrationSettings(), progress=progress).rig
+    settings = settings or CalibrationSettings()
+    return run(Path(recording), settings, detecting=detecting, progress=progress).rig
 
 
-def run(folder: Path, settings: CalibrationSettings, *, progress: Progress = silent) -> Calibration:
+def run(
+    folder: Path,
+    settings: CalibrationSettings,
+    *,
+    detecting: DetectionSettings | None = None,
+    progress: Progress = silent,
+) -> Calibration:
     """Calibrate a recording, and keep the evidence."""
     recording = open_recording(
         folder,
@@ -117,7 +132,8 @@ def run(folder: Path, settings: CalibrationSettings, *, progress: Progress = sil
     )
     target = find_target(recording, settings.target, settings.square)
     _check_reference(settings, recording)
-    detection = detect_recording(recording, target, progress=progress)
+    recording = choose_frames(recording, settings.max_frames, progress=progress)
+    detection = detect_recording(recording, target, settings=detecting, progress=progress)
     require_boards(detection, recording, target)
     return _calibrate(detection, target, settings, recording, progress)
 
@@ -166,7 +182,7 @@ def run_on_corners(
         _check_reference(settings, recording)
     target = find_target(recording, settings.target, settings.square)
     sizes = ({} if recording is None else _sizes_of(recording)) | dict(sizes_wh)
-    dataset = read_corners(corners, sizes, target.n_corners)
+    dataset = read_corners(corners, sizes, target.n_corners, pattern=settings.pattern)
     if not dataset.views:
         raise FileFormatError(f"{corners}: holds no corners; run detect again")
     dataset = _only(dataset, settings.cameras, corners)
@@ -240,14 +256,11 @@ def _check_inside(dataset: Dataset, corners: Path) -> None:
 
 def _sizes_of(recording: Recording) -> dict[str, tuple[int, int]]:
     sizes = {}
-    for camera, frames in recording.files.items():
-        for path in frames.values():
-            size = read_size(path, max_megapixels=recording.max_megapixels)
-            if not isinstance(size, Unreadable):
-                sizes[camera] = size
-                break
-        else:
+    for camera in recording.cameras:
+        size = recording.read_size(camera)
+        if isinstance(size, Unreadable):
             raise RecordingError(f"camera {camera}: none of its pictures can be read")
+        sizes[camera] = size
     return sizes
 
 

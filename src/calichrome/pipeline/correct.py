@@ -166,6 +166,7 @@ def rectify(
         for name, item in cameras.items()
     }
     recording = open_recording(source, pattern=pattern, cameras=pair)
+    _refuse_videos(recording)
     frames = [frame for frame in recording.files[pair[0]] if frame in recording.files[pair[1]]]
     shown: list[tuple[str, Pixels]] = []
     with writing_folder(output, force=force, inputs=[source]) as folder:
@@ -190,6 +191,14 @@ def rectify(
             place = folder / sheet.resolve().relative_to(output.resolve()) if inside else sheet
             write_picture(place, drawn, force=force)
     return rectification
+
+
+def _refuse_videos(recording: Recording) -> None:
+    if recording.videos.videos:
+        raise RecordingError(
+            f"{recording.folder}: holds videos, and pictures are corrected; extract their frames "
+            f"as PNG"
+        )
 
 
 def _check_pair(rig: Rig, pair: tuple[str, str]) -> None:
@@ -255,6 +264,7 @@ def _open(
         recording = open_recording(source, pattern="{frame}")
         return recording, {camera: recording.files["cam0"]}
     recording = open_recording(source, pattern=pattern, synchronous=False)
+    _refuse_videos(recording)
     if recording.cameras == ("cam0",) and "cam0" not in rig.cameras:
         return recording, {camera or _only_camera(rig, source): recording.files["cam0"]}
     return recording, recording.files

@@ -1,8 +1,8 @@
 """A recording in, observations out."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,19 +14,59 @@ from calichrome.detection import detect_board, draw_overlay, no_order_fits, seen
 from calichrome.errors import DetectionError, RecordingError, TargetError
 from calichrome.imaging import Recording, Unreadable, write_picture
 from calichrome.observations import BoardView, Dataset, NotFound
-from calichrome.target import Target, check_target, load_target, parse_target, with_square_size
+from calichrome.pipeline.detection_cache import DetectionCache, Seen, cache_folder, context_of
+from calichrome.pipeline.workers import JobLostError, n_cores, spread
+from calichrome.target import (
+    CodedTarget,
+    Target,
+    check_target,
+    load_target,
+    parse_target,
+    with_square_size,
+)
 
-__all__ = ["Detection", "Progress", "detect_recording", "find_target", "silent"]
+__all__ = [
+    "Detection",
+    "DetectionSettings",
+    "Progress",
+    "detect_recording",
+    "find_target",
+    "silent",
+]
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how many are done, and of how many."""
 
-_WORKERS = 2  # pictures in memory at once; OpenCV already spreads one over the cores
+_WORTH_MP = 60.0
+"""Fewer megapixels are searched in this process, unless a number of workers is asked for. To start
+a process takes 0.7 s (measured on two cores: most of it imports), in which one core searches 28 MP
+at 25 ms each; two cores save half of the search, so they begin to pay at twice that."""
 _PROBED = 3  # pictures of a camera that are searched for a board of other corner counts
 
 
 def silent(what: str, done: int, total: int) -> None:
     """Report nothing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectionSettings:
+    """How to go about a detection; none of these changes its result.
+
+    Parameters
+    ----------
+    cache
+        Folder where detections are kept, so that no picture is searched twice and an interrupted
+        run goes on where it was. Default: the user's cache folder.
+    no_cache
+        Search every picture, and keep nothing.
+    workers
+        Pictures that are searched at the same time; each takes a process and its memory.
+        Default: the number of cores.
+    """
+
+    cache: Path | None = None
+    no_cache: bool = False
+    workers: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -41,20 +81,48 @@ class Detection:
         (camera, frame, reason) of every picture without a view.
     findings
         About files and pictures.
+    n_cached
+        Pictures that had been searched before.
     """
 
     dataset: Dataset
     rejected: tuple[tuple[str, str, str], ...]
     findings: tuple[Finding, ...]
+    n_cached: int = 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    found: BoardView | NotFound | Unreadable
-    size_wh: tuple[int, int] | None = None
-    sha256: str = ""
-    exposure: Mapping[str, float] | None = None
-    rotation_tag: int = 1
+_Key = tuple[str, str]  # camera id, frame id
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Look:
+    """Searches pictures; sent to every process once.
+
+    `known` are detections that only have to be drawn.
+    """
+
+    recording: Recording
+    target: Target
+    overlay: Path | None
+    known: Mapping[_Key, Seen]
+
+    def __call__(self, key: _Key) -> Seen:
+        image = self.recording.read(*key)
+        if isinstance(image, Unreadable):
+            return Seen(found=image)
+        known = self.known.get(key)
+        found = detect_board(image, self.target) if known is None else known.found
+        if self.overlay is not None and not isinstance(found, Unreadable):
+            drawn = draw_overlay(image, self.target, found)
+            path = self.overlay / key[0] / f"{key[1]}.jpg"
+            write_picture(path, drawn, jpeg_quality=90, force=True)
+        return Seen(
+            found=found,
+            size_wh=image.size_wh,
+            sha256=image.sha256,
+            exposure=image.exposure,
+            rotation_tag=image.rotation_tag,
+        )
 
 
 def find_target(recording: Recording | None, target: str | None, square: str | None) -> Target:
@@ -103,6 +171,7 @@ def detect_recording(
     target: Target,
     *,
     overlay: Path | None = None,
+    settings: DetectionSettings | None = None,
     progress: Progress = silent,
 ) -> Detection:
     """Look for the board in every picture.
@@ -113,6 +182,8 @@ def detect_recording(
         What to look at and for.
     overlay
         Folder for pictures with the detections drawn in, ``<camera>/<frame>.jpg``.
+    settings
+        Where detections are kept, and how many pictures are searched at a time.
     progress
         Called after each picture.
 
@@ -120,25 +191,85 @@ def detect_recording(
     ------
     RecordingError
         If a camera has pictures of several sizes, or none that can be read.
+    DetectionError
+        If the search of a picture takes more memory than there is.
     """
-
-    def look(camera: str, frame: str) -> _Seen:
-        image = recording.read(camera, frame)
-        if isinstance(image, Unreadable):
-            return _Seen(image)
-        found = detect_board(image, target)
-        if overlay is not None:
-            drawn = draw_overlay(image, target, found)
-            write_picture(overlay / camera / f"{frame}.jpg", drawn, jpeg_quality=90, force=True)
-        return _Seen(found, image.size_wh, image.sha256, image.exposure, image.rotation_tag)
-
+    settings = settings or DetectionSettings()
+    if settings.workers is not None and settings.workers < 1:
+        raise DetectionError(f"--workers {settings.workers}: give 1 or more")
     keys = [(camera, frame) for camera in recording.cameras for frame in recording.files[camera]]
-    seen: dict[tuple[str, str], _Seen] = {}
-    with ThreadPoolExecutor(_WORKERS) as pool:
-        progress("looking for the board", 0, len(keys))
-        for key, result in zip(keys, pool.map(lambda key: look(*key), keys), strict=True):
-            seen[key] = result
-            progress("looking for the board", len(seen), len(keys))
+    contexts = {camera: context_of(target, recording.entry(camera)) for camera in recording.cameras}
+    folder = None if settings.no_cache else cache_folder(settings.cache)
+    with DetectionCache(folder) as cache:
+        known = _from_cache(recording, keys, contexts, cache, progress)
+        seen = dict(known)
+        label = "looking for the board"
+        if known:
+            label += f" ({len(known)} of {len(keys)} from the cache)"
+        jobs = [key for key in keys if overlay is not None or key not in known]
+        progress(label, len(keys) - len(jobs), len(keys))
+        drawn = {} if overlay is None else known
+        look = _Look(recording=recording, target=target, overlay=overlay, known=drawn)
+        workers = settings.workers or _worthwhile_workers(recording, jobs)
+        try:
+            with closing(spread(look, jobs, workers=workers)) as results:
+                for n_done, (key, result) in enumerate(results, len(keys) - len(jobs) + 1):
+                    seen[key] = result
+                    if key not in known:
+                        cache.put(contexts[key[0]], result)
+                    progress(label, n_done, len(keys))
+        except JobLostError as error:
+            raise _lost(error.job) from error
+    return _gathered(recording, {key: seen[key] for key in keys}, len(known))
+
+
+def _from_cache(
+    recording: Recording,
+    keys: Sequence[_Key],
+    contexts: Mapping[str, str],
+    cache: DetectionCache,
+    progress: Progress,
+) -> dict[_Key, Seen]:
+    """Return what was seen before; pictures are summed only if anything was."""
+    worth_it = {camera for camera, context in contexts.items() if cache.knows(context)}
+    asked = [key for key in keys if key[0] in worth_it]
+    known = {}
+    for n_done, (camera, frame) in enumerate(asked, 1):
+        seen = cache.get(contexts[camera], _sum(recording, (camera, frame)))
+        if seen is not None and seen.size_wh is not None:
+            width, height = seen.size_wh
+            if width * height <= recording.max_megapixels * 1e6:
+                known[camera, frame] = seen
+        progress("comparing with the cache", n_done, len(asked))
+    return known
+
+
+def _sum(recording: Recording, key: _Key) -> str:
+    """SHA-256 of a picture; "" if it cannot be read, which its search will say."""
+    try:
+        return recording.content_sum(*key)
+    except OSError:
+        return ""
+
+
+def _worthwhile_workers(recording: Recording, jobs: Sequence[_Key]) -> int:
+    """Return the number of cores, or 1 where to start processes takes longer than it saves."""
+    megapixels = 0.0
+    for camera, n_jobs in Counter(camera for camera, _ in jobs).items():
+        size_wh = recording.read_size(camera)
+        if not isinstance(size_wh, Unreadable):
+            megapixels += n_jobs * size_wh[0] * size_wh[1] / 1e6
+    return n_cores() if megapixels > _WORTH_MP else 1
+
+
+def _lost(key: _Key) -> DetectionError:
+    return DetectionError(
+        f"camera {key[0]}: the search of picture {key[1]} was ended from outside (most often: out "
+        f"of memory); scale the picture down or leave it out, or close other programs"
+    )
+
+
+def _gathered(recording: Recording, seen: Mapping[_Key, Seen], n_cached: int) -> Detection:
     views: dict[str, dict[str, BoardView]] = {camera: {} for camera in recording.cameras}
     for (camera, frame), result in seen.items():
         if isinstance(result.found, BoardView):
@@ -156,6 +287,7 @@ def detect_recording(
             if not isinstance(item.found, BoardView)
         ),
         findings=_file_findings(seen),
+        n_cached=n_cached,
     )
 
 
@@ -168,7 +300,8 @@ def require_boards(detection: Detection, recording: Recording, target: Target) -
         reasons = Counter(reason for cam, _, reason in detection.rejected if cam == camera)
         likeliest = reasons.most_common(1)[0][0]
         other = None
-        if likeliest != no_order_fits(target):  # else the counts are right
+        is_plain = not isinstance(target, CodedTarget)  # else its codes say what is wrong
+        if is_plain and likeliest != no_order_fits(target):  # else the counts are right
             other = _other_board(recording, camera, frames[:_PROBED], target)
         if other is not None:
             frame, counts = other
@@ -204,9 +337,7 @@ def _other_board(
     return agreeing[0], counts
 
 
-def _sizes(
-    recording: Recording, seen: Mapping[tuple[str, str], _Seen]
-) -> dict[str, tuple[int, int]]:
+def _sizes(recording: Recording, seen: Mapping[_Key, Seen]) -> dict[str, tuple[int, int]]:
     sizes: dict[str, dict[tuple[int, int], list[str]]] = defaultdict(lambda: defaultdict(list))
     for (camera, frame), item in seen.items():
         if item.size_wh is not None:
@@ -233,7 +364,7 @@ def _sizes(
     return {camera: next(iter(sizes[camera])) for camera in recording.cameras}
 
 
-def _file_findings(seen: Mapping[tuple[str, str], _Seen]) -> tuple[Finding, ...]:
+def _file_findings(seen: Mapping[_Key, Seen]) -> tuple[Finding, ...]:
     found: list[Finding] = []
     for (camera, frame), item in seen.items():
         if isinstance(item.found, Unreadable):

@@ -5,6 +5,7 @@ from calichrome.target.check import TargetProblem, check_target
 from calichrome.target.colour_table import PaletteColour, read_colour_table
 from calichrome.target.design import design_target
 from calichrome.target.drawing import PrintedPage, write_pdf
+from calichrome.target.fiducial import AprilGridTarget, CharucoTarget, CodedTarget
 from calichrome.target.file import (
     load_target,
     parse_target,
@@ -19,6 +20,9 @@ from calichrome.target.palette import colour_checker_palette, read_palette
 
 __all__ = [
     "PAPERS_M",
+    "AprilGridTarget",
+    "CharucoTarget",
+    "CodedTarget",
     "LayoutQuality",
     "Marker",
     "PaletteColour",
