@@ -1,11 +1,21 @@
 """The one entry: a picture in, the board or the reason why not out."""
 
-import numpy as np
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
-from calichrome.detection.corners import corner_spacing, find_corner_grid, refine_corners
-from calichrome.detection.discs import local_homographies, measure_discs
+import numpy as np
+from numpy.typing import NDArray
+
+from calichrome.core.arrays import FloatArray
+from calichrome.detection.board_map import BoardMap
+from calichrome.detection.corner_pixels import Discs
+from calichrome.detection.discs import BoardToPixels, measure_discs
 from calichrome.detection.fiducials import detect_coded_board
-from calichrome.detection.lattice import goes_on, is_regular, orient_grid
+from calichrome.detection.identity import Placement, identify
+from calichrome.detection.lattices import Lattice, find_lattices
+from calichrome.detection.levels import best_mix, readings_of
+from calichrome.detection.reasons import why_no_board
+from calichrome.detection.refinement import RefinedCorners, refine_corners
 from calichrome.imaging import Image
 from calichrome.observations import BoardView, NotFound
 from calichrome.target import CodedTarget, Target
@@ -13,70 +23,139 @@ from calichrome.target import CodedTarget, Target
 __all__ = ["detect_board"]
 
 _MIN_SPACING_PX = 6.0
-"""Below this the refinement window of +-2 px covers two thirds of the way to the neighbouring
-corners, which then pull on the corner."""
+"""Below this a corner's blur reaches half way to its neighbours, and what is fitted is not one
+corner."""
+
+_BY_FAR = 2.0  # times the other's squares
 
 
 def detect_board(image: Image, target: Target) -> BoardView | NotFound:
-    """Find the whole board in one picture.
+    """Find the board, or the part of it that is seen, in one picture.
 
     Parameters
     ----------
     image
         Grey or colour, encoded or linear.
     target
-        The board to look for.
+        The board to look for. Only one with discs can be told from a part of it.
 
     Returns
     -------
     BoardView
-        All inner corners with ids; discs where the target has them and the picture is in colour.
+        Corners with ids and covariances; discs where the target has them and the picture is in
+        colour.
     NotFound
         With a reason that a person at the camera can act on.
     """
     if isinstance(target, CodedTarget):
         return detect_coded_board(image, target)
-    grey = image.grey()
-    grey8 = np.rint(np.clip(grey, 0, 255)).astype(np.uint8)
-    grid = find_corner_grid(grey8, target.corners_xy)
-    nx, ny = target.corners_xy
-    if grid is None:
-        return NotFound(_why_not(image, grey8, f"no whole board of {nx}x{ny} inner corners"))
-    if corner_spacing(grid).min() < _MIN_SPACING_PX:
-        return NotFound(
-            f"squares of {corner_spacing(grid).min():.0f} px are too small to measure; bring the "
-            f"board nearer"
-        )
-    grid = refine_corners(grey, grid)
-    if not is_regular(grid):
-        return NotFound(f"what looks like {nx}x{ny} corners is no even grid; is it another board?")
-    if goes_on(grid, grey):
-        return NotFound(
-            f"the board goes on beyond {nx}x{ny} inner corners; count them again and correct "
-            f"--target"
-        )
-    oriented = orient_grid(grid, grey, target)
-    if isinstance(oriented, str):
-        return NotFound(oriented)
+    reason = ""
+    for tones in _tones(image):
+        placed = _place(image, tones, target)
+        if not isinstance(placed, str):
+            return _measure(image, target, placed)
+        reason = reason or placed
+    return NotFound(reason)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Placed:
+    """A lattice that is the target; `spacing_px` is the median side of its squares."""
+
+    lattice: Lattice
+    placement: Placement
+    spacing_px: float
+
+
+def _tones(image: Image) -> Iterator[NDArray[np.float32]]:
+    """Yield the picture in grey, and if that is not enough the channel of most contrast.
+
+    Under coloured light black and white may differ in one channel alone.
+    """
+    yield image.grey()
+    if image.is_colour:
+        step = max(1, min(image.size_wh) // 300)
+        sample = image.pixels[::step, ::step].reshape(-1, 3)
+        contrast = np.ptp(np.quantile(sample, [0.02, 0.98], axis=0), axis=0)
+        channel = np.ascontiguousarray(image.pixels[..., int(contrast.argmax())])
+        yield replace(image, pixels=channel).grey()
+
+
+def _place(image: Image, tones: NDArray[np.float32], target: Target) -> _Placed | str:
+    """Find the lattice that is the target, or say why there is none."""
+    lattices = find_lattices(tones)
+    if not lattices:
+        return why_no_board(image, tones, target)
+    placed: list[_Placed] = []
+    reason = ""
+    for lattice in lattices:
+        indices = lattice.indices.astype(np.float64)
+        board_map = BoardMap.fit(indices, lattice.corners_px, image.size_wh, lens_only=True)
+        spacing = float(np.median(np.linalg.norm(board_map.jacobian(indices), axis=1)))
+        if spacing < _MIN_SPACING_PX:
+            small = f"squares of {spacing:.0f} px are too small to measure; bring the board nearer"
+            reason = reason or small
+            continue
+        placement = identify(image, lattice, board_map, target)
+        if isinstance(placement, str):
+            reason = reason or placement
+        else:
+            placed.append(_Placed(lattice, placement, spacing))
+    return _only_one(placed) if placed else reason
+
+
+def _only_one(placed: list[_Placed]) -> _Placed | str:
+    """Take the board that is by far the nearest; the others are on screens, posters, in mirrors."""
+    first, *others = sorted(placed, key=lambda one: one.spacing_px, reverse=True)
+    for other in others:
+        same = np.isin(other.placement.corner_ids, first.placement.corner_ids).any()
+        if same and first.spacing_px < _BY_FAR * other.spacing_px:
+            return "two boards are in the picture; show one at a time, or cover the other"
+    return first
+
+
+def _measure(image: Image, target: Target, placed: _Placed) -> BoardView:
+    """Refine the corners and measure the discs."""
+    order = np.argsort(placed.placement.corner_ids)
+    corner_ids = placed.placement.corner_ids[order]
+    start_px = placed.lattice.corners_px[order]
+    nx = target.corners_xy[0]
+    indices = np.stack([corner_ids % nx, corner_ids // nx], axis=1)
+    lattice = indices.astype(np.float64)
+    edges = BoardMap.fit(lattice, start_px, image.size_wh, lens_only=True).edges(lattice)
+    white = ~target.black_squares[indices[:, 1] + 1, indices[:, 0] + 1]
+    readings = readings_of(image, best_mix(image, start_px, edges, white))
+    refined = refine_corners(readings, start_px, indices, white, _discs_of(target), image.size_wh)
     discs = None
     if target.markers and image.is_colour:
-        to_pixels = local_homographies(oriented.corners_px, target.square_m)
-        discs = measure_discs(image, target, to_pixels)
+        to_pixels = _to_pixels(refined, lattice, target, image.size_wh)
+        discs = measure_discs(image, target, to_pixels, corner_ids)
     return BoardView(
-        corner_ids=np.arange(target.n_corners),
-        corners_px=oriented.corners_px.reshape(-1, 2),
-        half_turn_ambiguous=oriented.half_turn_ambiguous,
+        corner_ids=corner_ids,
+        corners_px=refined.corners_px,
+        cov_px=refined.cov_px,
+        half_turn_ambiguous=placed.placement.half_turn_ambiguous,
         discs=discs,
     )
 
 
-def _why_not(image: Image, grey8: np.typing.NDArray[np.uint8], what: str) -> str:
-    """Add what a person can do to the fact that nothing was found."""
-    everything = (slice(None), slice(None))
-    clipped = float(image.is_clipped(everything).mean())
-    if clipped > 0.2:
-        return f"{what}: {clipped:.0%} of the picture is overexposed; close the aperture"
-    contrast = float(np.quantile(grey8, 0.99)) - float(np.quantile(grey8, 0.01))
-    if contrast < 40:
-        return f"{what}: the picture has only {contrast:.0f} of 255 levels; add light"
-    return f"{what}; show it whole, with its white margin, sharp and without shadows"
+def _discs_of(target: Target) -> Discs:
+    squares_x, squares_y = target.squares
+    radius = np.zeros((squares_y, squares_x, 2))
+    for marker in target.markers:
+        ix, iy = marker.square
+        radius[iy, ix] = 0.5 * marker.diameter_m / np.array(target.square_m)
+    return Discs(radius)
+
+
+def _to_pixels(
+    refined: RefinedCorners, lattice: FloatArray, target: Target, size_wh: tuple[int, int]
+) -> BoardToPixels:
+    """Map board points (N, 3) in metres to pixels."""
+    board_map = BoardMap.fit(lattice, refined.corners_px, size_wh, refined.cov_px)
+    side = np.array(target.square_m)
+
+    def to_pixels(points_board: FloatArray) -> FloatArray:
+        return board_map(points_board[:, :2] / side)
+
+    return to_pixels

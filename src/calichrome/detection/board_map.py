@@ -78,6 +78,8 @@ class BoardMap:
         corners_px: FloatArray,
         size_wh: tuple[int, int],
         cov_px: FloatArray | None = None,
+        *,
+        lens_only: bool = False,
     ) -> "BoardMap":
         """Fit corners, robustly.
 
@@ -90,6 +92,8 @@ class BoardMap:
             Of the picture.
         cov_px : (N, 2, 2) float, or None
             Covariance of each corner; None: all alike, of unknown size.
+        lens_only
+            Leave out what homography and radial distortion do not explain; faster.
         """
         centre, scale = (np.array(size_wh) - 1.0) / 2, float(np.hypot(*size_wh)) / 2
         origin = indices.mean(axis=0)
@@ -103,6 +107,7 @@ class BoardMap:
             (corners_px - centre) / scale,
             whitening,
             known_noise=cov_px is not None,
+            with_monomials=not lens_only,
         )
         free = corners_px.size - fit.used
         misfit = fit.squares / free if free >= 1 else float("nan")
@@ -115,7 +120,7 @@ class BoardMap:
             plane=fit,
             covariance=fit.covariance * (misfit if unknown else 1.0),
             misfit=misfit,
-            n_free=max(round(free), 0),
+            n_free=round(free) if free > 0 else 0,
         )
 
     def __call__(self, points: FloatArray) -> FloatArray:

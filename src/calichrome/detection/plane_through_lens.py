@@ -28,8 +28,9 @@ _PRIOR_CENTRE = 0.1
 """Sigma of the centre of distortion in half diagonals: 6 % of the width of a 4:3 picture."""
 _DEGREES = (2, 3, 4)  # of the monomials, if there are any; 1 is the homography's
 _RESIDUALS_PER_PARAMETER = 2  # at least, for monomials; fewer would follow the noise
-_PLAIN_STEPS = 4
-_ROBUST_STEPS = 2
+_PLAIN_STEPS = 6
+_ROBUST_STEPS = 3
+_LEAST_GAIN = 1e-3  # of the cost; what is left to gain moves no point by 0.05 sigma
 _SHARES = (1.0, 0.3, 0.1, 0.03)  # of a step, tried in turn
 _LEAST_NOISE = 1e-3  # px, where nothing is known and nothing is left
 _DAMPING = 1e-12  # of a unit diagonal: what rounding leaves open stays where it is
@@ -69,7 +70,12 @@ class PlaneFit:
 
 
 def fit_plane(
-    lattice: FloatArray, picture: FloatArray, whitening: FloatArray, *, known_noise: bool
+    lattice: FloatArray,
+    picture: FloatArray,
+    whitening: FloatArray,
+    *,
+    known_noise: bool,
+    with_monomials: bool,
 ) -> PlaneFit:
     """Fit points, robustly, with the monomials of least Bayesian information criterion [1]_.
 
@@ -81,6 +87,8 @@ def fit_plane(
         Turns residuals into unit noise, or into pixels if the noise is not known.
     known_noise
         Whether residuals are to be judged by the noise or by each other.
+    with_monomials
+        Whether to look for more than the lens.
 
     References
     ----------
@@ -89,13 +97,17 @@ def fit_plane(
     data = _Points(lattice, picture, whitening, known_noise)
     theta = np.concatenate([fit_homography(lattice, picture).ravel()[:8], np.zeros(4)])
     for _ in range(_PLAIN_STEPS):
-        theta = _improved(theta, data)
+        theta, gain = _improved(theta, data)
+        if gain < _LEAST_GAIN:
+            break
     # Outliers show only now that the lens is known.
     for _ in range(_ROBUST_STEPS):
-        theta = _improved(theta, _reweighted(data, theta))
+        theta, gain = _improved(theta, _reweighted(data, theta))
+        if gain < _LEAST_GAIN:
+            break
     weighted = _reweighted(data, theta)
     best = _linear_fit(theta, weighted, 0)
-    for degree in _DEGREES:
+    for degree in _DEGREES if with_monomials else ():
         n_terms = (degree + 1) * (degree + 2) // 2 - 3
         if picture.size < _RESIDUALS_PER_PARAMETER * (_N_LENS + 2 * n_terms):
             break
@@ -209,8 +221,11 @@ def _linear_fit(theta: FloatArray, data: _Points, n_terms: int) -> PlaneFit:
     )
 
 
-def _improved(theta: FloatArray, data: _Points) -> FloatArray:
-    """Go a Gauss-Newton step of the lens, or the part of it that lowers the cost."""
+def _improved(theta: FloatArray, data: _Points) -> tuple[FloatArray, float]:
+    """Go a Gauss-Newton step of the lens, or the part of it that lowers the cost.
+
+    Returns the lens and by which share the cost has fallen.
+    """
     precision = _precision(_N_LENS, data.residuals(theta), data)
 
     def cost(at: FloatArray) -> float:
@@ -218,9 +233,10 @@ def _improved(theta: FloatArray, data: _Points) -> FloatArray:
 
     now, step = cost(theta), _linear_fit(theta, data, 0).rest
     for share in _SHARES:
-        if cost(theta + share * step) < now:
-            return np.asarray(theta + share * step)
-    return theta
+        lower = cost(theta + share * step)
+        if lower < now:
+            return np.asarray(theta + share * step), 1 - lower / now
+    return theta, 0.0
 
 
 def _criterion(fit: PlaneFit, data: _Points) -> float:

@@ -190,7 +190,7 @@ def refine_corners(
         Of the picture.
     """
     lattice = indices.astype(np.float64)
-    board_map = BoardMap.fit(lattice, start_px, size_wh)
+    board_map = BoardMap.fit(lattice, start_px, size_wh, lens_only=True)
     start_px = _pulled_in(start_px, board_map(lattice))
     edges = board_map.edges(lattice)
     alone = [

@@ -134,7 +134,7 @@ def run(
     _check_reference(settings, recording)
     recording = choose_frames(recording, settings.max_frames, progress=progress)
     detection = detect_recording(recording, target, settings=detecting, progress=progress)
-    require_boards(detection, recording, target)
+    require_boards(detection, recording)
     return _calibrate(detection, target, settings, recording, progress)
 
 

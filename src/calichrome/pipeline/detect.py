@@ -10,7 +10,7 @@ import numpy as np
 
 from calichrome.core.findings import Finding, finding
 from calichrome.core.units import parse_lengths
-from calichrome.detection import detect_board, draw_overlay, no_order_fits, seen_corner_counts
+from calichrome.detection import detect_board, draw_overlay
 from calichrome.errors import DetectionError, RecordingError, TargetError
 from calichrome.imaging import Recording, Unreadable, write_picture
 from calichrome.observations import BoardView, Dataset, NotFound
@@ -41,7 +41,6 @@ _WORTH_MP = 60.0
 """Fewer megapixels are searched in this process, unless a number of workers is asked for. To start
 a process takes 0.7 s (measured on two cores: most of it imports), in which one core searches 28 MP
 at 25 ms each; two cores save half of the search, so they begin to pay at twice that."""
-_PROBED = 3  # pictures of a camera that are searched for a board of other corner counts
 
 
 def silent(what: str, done: int, total: int) -> None:
@@ -291,7 +290,7 @@ def _gathered(recording: Recording, seen: Mapping[_Key, Seen], n_cached: int) ->
     )
 
 
-def require_boards(detection: Detection, recording: Recording, target: Target) -> None:
+def require_boards(detection: Detection, recording: Recording) -> None:
     """Raise `DetectionError` when a camera sees no board at all, with the likeliest reason."""
     for camera, views in detection.dataset.views.items():
         if views:
@@ -299,17 +298,6 @@ def require_boards(detection: Detection, recording: Recording, target: Target) -
         frames = list(recording.files[camera])
         reasons = Counter(reason for cam, _, reason in detection.rejected if cam == camera)
         likeliest = reasons.most_common(1)[0][0]
-        other = None
-        is_plain = not isinstance(target, CodedTarget)  # else its codes say what is wrong
-        if is_plain and likeliest != no_order_fits(target):  # else the counts are right
-            other = _other_board(recording, camera, frames[:_PROBED], target)
-        if other is not None:
-            frame, counts = other
-            wanted = f"{target.corners_xy[0]}x{target.corners_xy[1]}"
-            raise DetectionError(
-                f"camera {camera}: picture {frame} shows a board of {counts[0]}x{counts[1]} inner "
-                f"corners, the target has {wanted}; correct --target"
-            )
         remedy = "leave it out with --cameras, or record it again"
         if len(detection.dataset.views) == 1:
             remedy = "look at the pictures, and check --target"
@@ -317,24 +305,6 @@ def require_boards(detection: Detection, recording: Recording, target: Target) -
             f"camera {camera}: the board is in none of its {len(frames)} pictures (most often: "
             f"{likeliest}); {remedy}"
         )
-
-
-def _other_board(
-    recording: Recording, camera: str, frames: list[str], target: Target
-) -> tuple[str, tuple[int, int]] | None:
-    """Find a board of other corner counts that pictures agree on: one alone may show it cut."""
-    seen: dict[tuple[int, int], list[str]] = defaultdict(list)
-    for frame in frames:
-        image = recording.read(camera, frame)
-        if isinstance(image, Unreadable):
-            continue
-        counts = seen_corner_counts(np.rint(np.clip(image.grey(), 0, 255)).astype(np.uint8))
-        if counts is not None and sorted(counts) != sorted(target.corners_xy):
-            seen[counts].append(frame)
-    counts, agreeing = max(seen.items(), key=lambda item: len(item[1]), default=((0, 0), []))
-    if not agreeing or (len(agreeing) == 1 and len(frames) > 1):
-        return None
-    return agreeing[0], counts
 
 
 def _sizes(recording: Recording, seen: Mapping[_Key, Seen]) -> dict[str, tuple[int, int]]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calichrome.core.arrays import FloatArray
-from calichrome.detection import detect_board, seen_corner_counts
+from calichrome.detection import detect_board
 from calichrome.imaging import Image, open_recording
 from calichrome.observations import BoardView, NotFound
 from calichrome.synthetic import read_truth
@@ -96,7 +96,7 @@ def test_part_of_a_larger_board_is_none(render: Rendered, tilt_deg: float) -> No
     for corners_xy in ((7, 5), (6, 5), (6, 4), (5, 4), (4, 4), (4, 3), (3, 3)):
         found = detect_board(image, chessboard(corners_xy, (0.03, 0.03)))
         assert isinstance(found, NotFound), corners_xy
-    assert seen_corner_counts(_as_8_bit(image).pixels[..., 1]) == (7, 6)
+        assert "saw 7x6 inner corners" in found.reason
 
 
 @pytest.mark.parametrize("side", ["left", "top"])

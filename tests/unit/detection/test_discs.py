@@ -4,12 +4,15 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from calichrome.core.arrays import FloatArray
+from calichrome.core.arrays import FloatArray, IntArray
 from calichrome.detection import detect_board
+from calichrome.detection.discs import local_homographies, measure_discs
 from calichrome.imaging import Image
 from calichrome.observations import BoardView, DiscSamples
-from calichrome.synthetic import Scene, truth_of
+from calichrome.synthetic import Renderer, Scene, SceneCamera, random_scene, truth_of
+from calichrome.synthetic.sensor import develop
 from calichrome.synthetic.spectra import camera_response, printed_palette
 from calichrome.target import Target
 
@@ -93,3 +96,112 @@ def test_something_on_a_disc_is_left_out(render: Rendered, standard_target: Targ
     assert spoiled.n_px[marker] < clean.n_px[marker]
     expected = _true_rgb(scene)[2 + marker]
     np.testing.assert_allclose(spoiled.mean_rgb[marker], expected, rtol=0.01, atol=1e-3)
+
+
+def _covered(image: Image, centre_px: FloatArray, radius_px: float, rgb: FloatArray) -> Image:
+    y, x = np.mgrid[: image.size_wh[1], : image.size_wh[0]]
+    hand = np.hypot(x - centre_px[0], y - centre_px[1]) < radius_px
+    return replace(image, pixels=np.where(hand[..., None], rgb.astype(np.float32), image.pixels))
+
+
+def _measured(
+    image: Image, target: Target, corners_px: FloatArray, corner_ids: IntArray | None = None
+) -> DiscSamples:
+    nx, ny = target.corners_xy
+    to_pixels = local_homographies(corners_px.reshape(ny, nx, 2), target.square_m)
+    return measure_discs(image, target, to_pixels, corner_ids)
+
+
+def test_discs_of_hidden_squares_are_absent(render: Rendered, standard_target: Target) -> None:
+    """A hand of the colour of a disc: its square lacks corners, so nothing there counts."""
+    image, corners_px, _ = render(standard_target)
+    clean = _measured(image, standard_target, corners_px)
+    hand_px = clean.centres_px[11]
+    side = float(np.linalg.norm(corners_px[1] - corners_px[0]))
+    found = np.flatnonzero(np.linalg.norm(corners_px - hand_px, axis=1) > side)
+    assert len(found) <= standard_target.n_corners - 2
+    covered = _covered(image, hand_px, side, clean.mean_rgb[11])
+    discs = _measured(covered, standard_target, corners_px, found)
+    assert 11 not in discs.marker_ids
+    kept = np.isin(clean.marker_ids, discs.marker_ids)
+    assert kept.sum() >= len(clean) - 9
+    np.testing.assert_allclose(discs.mean_rgb, clean.mean_rgb[kept], rtol=1e-3, atol=1e-4)
+    # nor does the hand tell the light of its neighbours
+    known = np.isfinite(discs.white_rgb).all(axis=1)
+    assert known.mean() > 0.9
+    np.testing.assert_allclose(discs.white_rgb[known], clean.white_rgb[kept][known], rtol=0.02)
+
+
+def test_discs_with_something_beside_them_are_absent(
+    render: Rendered, standard_target: Target
+) -> None:
+    """Where all corners are guessed, the square itself shows that it is covered."""
+    image, corners_px, _ = render(standard_target)
+    clean = _measured(image, standard_target, corners_px)
+    side = float(np.linalg.norm(corners_px[1] - corners_px[0]))
+    skin = np.array([0.3, 0.2, 0.15])
+    for marker in (3, 17, 30):
+        covered = _covered(image, clean.centres_px[marker], 0.8 * side, skin)
+        assert marker not in _measured(covered, standard_target, corners_px).marker_ids
+
+
+def test_discs_cut_by_the_picture_are_absent(render: Rendered, standard_target: Target) -> None:
+    image, corners_px, _ = render(standard_target)
+    clean = _measured(image, standard_target, corners_px)
+    cut = round(float(np.median(clean.centres_px[:, 0])))
+    pixels = np.ascontiguousarray(image.pixels[:, cut:])
+    moved = corners_px - [cut, 0]
+    found = np.flatnonzero(moved[:, 0] > 0)
+    discs = _measured(replace(image, pixels=pixels), standard_target, moved, found)
+    assert 0 < len(discs) < len(clean)
+    assert (discs.centres_px[:, 0] > 0).all()
+    kept = np.isin(clean.marker_ids, discs.marker_ids)
+    np.testing.assert_allclose(discs.mean_rgb, clean.mean_rgb[kept], rtol=1e-6)
+
+
+def test_highlights_do_not_count(render: Rendered, standard_target: Target) -> None:
+    image, corners_px, scene = render(standard_target)
+    clean = _measured(image, standard_target, corners_px)
+    marker = 7
+    spot_px = clean.centres_px[marker] + [2.5, -2.0]
+    lit = clean.mean_rgb[marker] + 0.3
+    shiny = _measured(_covered(image, spot_px, 1.2, lit), standard_target, corners_px)
+    expected = _true_rgb(scene)[2 + marker]
+    at = int(np.flatnonzero(shiny.marker_ids == marker)[0])
+    np.testing.assert_allclose(shiny.mean_rgb[at], expected, rtol=0.01, atol=1e-3)
+
+
+@pytest.mark.parametrize("mosaic", [True, False])
+def test_covariance_of_the_mean(
+    standard_target: Target,
+    mosaic: bool,  # noqa: FBT001
+    rng: np.random.Generator,
+) -> None:
+    """Squared errors of means, in units of the variance that is reported, average to one.
+
+    Demosaiced pixels repeat each other: taken as independent they would average to 2 to 5.
+    """
+    scene = random_scene(standard_target, 1, 1, (960, 720), seed=4, mosaic=mosaic)
+    camera = scene.cameras[0]
+    frame = next(iter(scene.world_from_board))
+    electrons = Renderer(scene).electrons("cam0", frame)
+    corners_px = truth_of(scene).images["cam0", frame].corners_px
+    quiet = replace(camera, sensor=replace(camera.sensor, noise=False, adc_bits=None))
+
+    def measured(of_camera: SceneCamera) -> DiscSamples:
+        pixels = np.clip(develop(electrons, of_camera, rng), 0, 1).astype(np.float32)
+        image = Image(pixels=pixels, encoding="linear", bits=32)
+        return _measured(image, standard_target, corners_px)
+
+    true = measured(quiet)
+    squared = []
+    for _ in range(6):
+        discs = measured(camera)
+        _, here, there = np.intersect1d(
+            discs.marker_ids, true.marker_ids, return_indices=True, assume_unique=True
+        )
+        error = discs.mean_rgb[here] - true.mean_rgb[there]
+        variance = np.einsum("nii->ni", discs.cov_rgb[here]) / discs.n_px[here, None]
+        squared.append(error**2 / variance)
+    # 288 discs: the mean is known to 8 %; the number of pixels that repeat each other to 20 %
+    assert 0.7 < np.concatenate(squared).mean() < 1.4

@@ -1,0 +1,458 @@
+"""Chessboards grown from saddles: which corners belong together, and where each stands in the grid.
+
+Links join neighbours (`saddle_links`); squares of four links seed lattices; what is predicted from the
+corners around a gap is searched there; parts that one map explains, on both sides of a hand, join.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from calichrome.core.arrays import BoolArray, FloatArray, IntArray
+from calichrome.detection.board_map import BoardMap
+from calichrome.detection.saddle_links import (
+    NO_NEIGHBOUR,
+    Links,
+    edge_shows,
+    link_saddles,
+    ray_angles,
+)
+from calichrome.detection.saddles import Plane, Pyramid, Saddles, build_pyramid, find_saddles
+
+__all__ = ["Lattice", "find_lattices"]
+
+_STEPS = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
+"""Of the lattice along ray 0 to 3 of a saddle whose first ray is +i."""
+_FEWEST_CORNERS = 6
+_SMALLEST_SIDE = 3
+_OFF_PREDICTION = 0.25
+"""Of the distance to the neighbour: how far from its prediction a corner is looked for."""
+_OFF_MAP, _OFF_MAP_PX = 0.03, 0.8
+"""Of a square, and at least: farther from the map of the others a corner is not one of them. True
+corners are off by up to 0.45 px, what the rim of a hand makes of an edge by 1.5 to 3.5 px."""
+_FARTHEST_FIRST = 0.5  # of the largest excess: corners beyond go at once, nearer ones later
+_FEWEST_TO_PREDICT = 12  # corners whose map may be believed beyond a gap
+_JOINS = 0.2  # of a square: parts join where the map of one meets the corners of the other
+_BESIDE_CORNER = 0.18
+"""Of a square, along both edges, where the four squares of a corner are looked at: clear of discs
+of up to 0.8 and of most blur."""
+_QUADRANTS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+_LEAST_STEP = 0.3  # from black to white across a corner, of the median over the board
+_REACH = 3  # places beside a part that its lines may reach, and what np.roll needs
+_STRETCH = (0.5, 2.0)  # of a step to the one before, at most, however steep the view
+_ROUNDS = 12  # of growing, each by a ring of corners
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lattice:
+    """Corners of one chessboard, or of the part of it that is seen.
+
+    Parameters
+    ----------
+    indices : (N, 2) int
+        (i, j) of every corner, from (0, 0); the turn from +i to +j is that from x to y.
+    corners_px : (N, 2) float
+        To about a third of a pixel.
+    black_parity
+        The square between (i, j) and (i + 1, j + 1) is black where (i + j) % 2 is this.
+    """
+
+    indices: IntArray
+    corners_px: FloatArray
+    black_parity: int
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+
+@dataclass(slots=True, eq=False)
+class _Part:
+    """Saddles with places: `turn` is the ray that points along +i."""
+
+    saddles: IntArray
+    indices: IntArray
+    turn: IntArray
+
+    def __len__(self) -> int:
+        return len(self.saddles)
+
+
+def find_lattices(grey: Plane) -> list[Lattice]:
+    """Find chessboards, the largest first.
+
+    Parameters
+    ----------
+    grey : (H, W) float32, 0..255
+
+    Returns
+    -------
+    list of Lattice
+        Of 3x3 corners at least; each a board or a part of one.
+    """
+    pyramid = build_pyramid(grey)
+    saddles = find_saddles(grey, pyramid)
+    links = link_saddles(saddles, pyramid)
+    size_wh = grey.shape[1], grey.shape[0]
+    search = _Search(saddles, links, pyramid, size_wh)
+    parts = [search.grown(part) for part in search.seeds()]
+    parts = search.joined([part for part in parts if len(part) >= 4])
+    found: list[Lattice] = []
+    for part in parts:
+        lattice = search.lattice(part)
+        if lattice is not None and not any(_overlap(lattice, other) for other in found):
+            found.append(lattice)
+    return sorted(found, key=len, reverse=True)
+
+
+def _overlap(one: Lattice, other: Lattice) -> bool:
+    """Tell whether two lattices share a corner: then they are one, found twice."""
+    distance, _ = cKDTree(other.corners_px).query(one.corners_px)
+    return bool(distance.min() < 1.0)
+
+
+class _Search:
+    def __init__(
+        self, saddles: Saddles, links: Links, pyramid: Pyramid, size_wh: tuple[int, int]
+    ) -> None:
+        self.saddles, self.links, self.pyramid, self.size_wh = saddles, links, pyramid, size_wh
+        self.rays = ray_angles(saddles.angles_rad)
+        self.points = saddles.points_px
+
+    def seeds(self) -> list[_Part]:
+        """Connect saddles over links that are sides of closed squares."""
+        firm = self._sides_of_squares()
+        seen = np.zeros(len(self.saddles), dtype=bool)
+        parts = []
+        for start in np.argsort(-firm.sum(axis=1), kind="stable"):
+            if not seen[start] and firm[start].any():
+                parts.append(self._spread(int(start), firm, seen))  # noqa: PERF401 (marks `seen`)
+        return parts
+
+    def _sides_of_squares(self) -> BoolArray:
+        """Mark links (N, 4) from which three more links lead back around a square."""
+        neighbour, arrival = self.links.neighbour, self.links.arrival
+        firm = np.zeros(neighbour.shape, dtype=bool)
+        for turn in (1, -1):
+            at, ray = np.nonzero(neighbour != NO_NEIGHBOUR)
+            here, along = at, ray
+            trail = []
+            for _ in range(4):
+                trail.append((here, along))
+                there, back = neighbour[here, along], arrival[here, along]
+                valid = there != NO_NEIGHBOUR
+                at, ray, there, back = at[valid], ray[valid], there[valid], back[valid]
+                trail = [(a[valid], b[valid]) for a, b in trail]
+                here, along = there, (back + turn) % 4
+            closed = (here == at) & (along == ray)
+            for a, b in trail:
+                firm[a[closed], b[closed]] = True
+                firm[neighbour[a[closed], b[closed]], arrival[a[closed], b[closed]]] = True
+        return firm
+
+    def _spread(self, start: int, firm: BoolArray, seen: BoolArray) -> _Part:
+        """Walk the links from one saddle, nearest first; what contradicts is left out."""
+        place: dict[int, tuple[int, int, int]] = {start: (0, 0, 0)}
+        taken = {(0, 0)}
+        queue = deque([start])
+        while queue:
+            here = queue.popleft()
+            i, j, turn = place[here]
+            for ray in np.flatnonzero(firm[here]):
+                there = int(self.links.neighbour[here, ray])
+                step = (ray - turn) % 4
+                di, dj = _STEPS[step]
+                cell = int(i + di), int(j + dj)
+                if there in place or cell in taken:
+                    continue
+                back = int(self.links.arrival[here, ray])
+                place[there] = *cell, (back - step - 2) % 4
+                taken.add(cell)
+                queue.append(there)
+        members = np.array(list(place), dtype=np.int64)
+        seen[members] = True
+        values = np.array(list(place.values()), dtype=np.int64)
+        return _Part(members, values[:, :2], values[:, 2])
+
+    def grown(self, part: _Part) -> _Part:
+        """Add saddles where the corners around predict one."""
+        for _ in range(_ROUNDS):
+            cells, predicted, reach = self._predictions(part)
+            if not len(cells):
+                break
+            added = self._matching(part, cells, predicted, reach)
+            if not len(added):
+                break
+            part = _Part(
+                np.concatenate([part.saddles, added.saddles]),
+                np.concatenate([part.indices, added.indices]),
+                np.concatenate([part.turn, added.turn]),
+            )
+        return part
+
+    def _predictions(self, part: _Part) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Return empty places beside corners, where they should be, and how far to look."""
+        origin = part.indices.min(axis=0) - _REACH
+        extent = np.ptp(part.indices, axis=0) + 1 + 2 * _REACH
+        points = np.full((*extent, 2), np.nan)
+        points[tuple((part.indices - origin).T)] = self.points[part.saddles]
+        total, length, count = np.zeros_like(points), np.zeros(extent), np.zeros(extent)
+        for step in _STEPS:
+            one, two, three = (np.roll(points, tuple(k * step), axis=(0, 1)) for k in (1, 2, 3))
+            guess = 2 * one - two
+            on_line = _next_on_line(three, two, one)
+            guess = np.where(np.isnan(on_line), guess, on_line)
+            known = ~np.isnan(guess[..., 0])
+            total[known] += guess[known]
+            length[known] += np.linalg.norm((one - two)[known], axis=1)
+            count += known
+        empty = np.isnan(points[..., 0]) & (count > 0)
+        cells = np.argwhere(empty)
+        mean = total[empty] / count[empty][:, None]
+        return cells + origin, mean, _OFF_PREDICTION * length[empty] / count[empty]
+
+    def _matching(
+        self, part: _Part, cells: IntArray, predicted: FloatArray, reach: FloatArray
+    ) -> _Part:
+        """Take the saddles at predicted places whose rays fit and that an edge joins."""
+        distance, nearest = cKDTree(self.points).query(predicted)
+        used = np.zeros(len(self.saddles), dtype=bool)
+        used[part.saddles] = True
+        at = {(i, j): k for k, (i, j) in enumerate(part.indices.tolist())}
+        chosen: list[tuple[int, int, int, int]] = []
+        for (i, j), saddle, off, limit in zip(
+            cells.tolist(), nearest.tolist(), distance, reach, strict=True
+        ):
+            if off > limit or used[saddle]:
+                continue
+            turn = self._turn_beside(part, at, i, j, saddle)
+            if turn is not None:
+                chosen.append((saddle, i, j, turn))
+                used[saddle] = True
+        table = np.array(chosen, dtype=np.int64).reshape(-1, 4)
+        return _Part(table[:, 0], table[:, 1:3], table[:, 3])
+
+    def _turn_beside(
+        self, part: _Part, at: dict[tuple[int, int], int], i: int, j: int, saddle: int
+    ) -> int | None:
+        """Return the ray of a saddle that is +i, if an edge to a neighbour says so."""
+        for step, (di, dj) in enumerate(_STEPS.tolist()):
+            beside = at.get((i + di, j + dj))
+            if beside is None:
+                continue
+            other = int(part.saddles[beside])
+            # The neighbour's ray towards the saddle, and the saddle's ray back, of the other kind.
+            towards = (int(part.turn[beside]) + step + 2) % 4
+            heading = np.arctan2(*(self.points[other] - self.points[saddle])[::-1])
+            off = np.abs((self.rays[saddle] - heading + np.pi) % (2 * np.pi) - np.pi)
+            off[np.arange(4) % 2 == towards % 2] = np.inf
+            back = int(off.argmin())
+            if off[back] > np.deg2rad(35):
+                continue
+            if self._is_edge(saddle, other, back):
+                return (back - step) % 4
+        return None
+
+    def _is_edge(self, start: int, end: int, ray: int) -> bool:
+        pair = np.array([start, end])
+        shows = edge_shows(
+            self.points[[start]],
+            self.points[[end]],
+            np.array([1.0 if ray % 2 == 0 else -1.0]),
+            np.array([self.saddles.contrast[pair].min()]),
+            np.array([self.saddles.level[pair].max()]),
+            self.pyramid,
+        )
+        return bool(shows[0])
+
+    def joined(self, parts: list[_Part]) -> list[_Part]:
+        """Join parts that the map of a larger one explains."""
+        parts = sorted(parts, key=len, reverse=True)
+        done: list[_Part] = []
+        while parts:
+            first, *rest = parts
+            rest = [part for part in rest if not np.isin(part.saddles, first.saddles).any()]
+            parts = rest
+            if len(first) >= _FEWEST_TO_PREDICT:
+                board_map = self._map(first)
+                for other in rest:
+                    both = self._join(first, other, board_map)
+                    if both is not None:
+                        # A larger part explains more: start again with it.
+                        parts = [self.grown(both), *(part for part in rest if part is not other)]
+                        break
+                else:
+                    done.append(first)
+                continue
+            done.append(first)
+        return done
+
+    def _join(self, first: _Part, other: _Part, board_map: BoardMap) -> _Part | None:
+        fresh = ~np.isin(other.saddles, first.saddles)
+        where = _inverse(board_map, self.points[other.saddles], first.indices)
+        nearest = np.rint(where)
+        if not (np.abs(where - nearest) < _JOINS).all():
+            return None
+        places = nearest.astype(np.int64)
+        # How the other part's axes lie in the first one's: some quarter turn explains all places.
+        for quarter in range(4):
+            turned = other.indices
+            for _ in range(quarter):
+                turned = turned[:, ::-1] * [-1, 1]
+            shift = places - turned
+            if (shift == shift[0]).all() and not _share_places(first.indices, places[fresh]):
+                turn = (other.turn - quarter) % 4
+                if not self._same_colours(first, places, turn):
+                    return None
+                return _Part(
+                    np.concatenate([first.saddles, other.saddles[fresh]]),
+                    np.concatenate([first.indices, places[fresh]]),
+                    np.concatenate([first.turn, turn[fresh]]),
+                )
+        return None
+
+    def _same_colours(self, first: _Part, places: IntArray, turn: IntArray) -> bool:
+        """Tell whether black squares of both parts fall on one parity."""
+        parity = (first.indices.sum(axis=1) + first.turn) % 2
+        others = (places.sum(axis=1) + turn) % 2
+        return bool((others == np.rint(parity.mean())).all())
+
+    def lattice(self, part: _Part) -> Lattice | None:
+        """Return the corners of a part that one smooth map explains, None if too few are left."""
+        cleaned = self._without_strays(part)
+        if _FEWEST_CORNERS <= len(cleaned) < len(part):
+            # A stray may have sat where a corner belongs.
+            cleaned = self._without_strays(self.grown(cleaned))
+        part = self._alternating(self._filled(cleaned))
+        extent = np.ptp(part.indices, axis=0) + 1 if len(part) else np.zeros(2)
+        if len(part) < _FEWEST_CORNERS or extent.min() < _SMALLEST_SIDE:
+            return None
+        indices = part.indices - part.indices.min(axis=0)
+        # Ray 0 opens a bright sector: with an even turn the square towards (+i, +j) is white.
+        white = part.turn % 2 == 0
+        parities = (indices.sum(axis=1) + white) % 2
+        return Lattice(indices, self.points[part.saddles], int(np.rint(parities.mean())))
+
+    def _filled(self, part: _Part) -> _Part:
+        """Add corners that are no clear saddles, where edges of two directions meet."""
+        if len(part) < _FEWEST_TO_PREDICT:
+            return part
+        at = {(i, j): k for k, (i, j) in enumerate(part.indices.tolist())}
+        around = (part.indices[:, None] + _STEPS).reshape(-1, 2)
+        cells, count = np.unique(around, axis=0, return_counts=True)
+        empty = [cell for cell in cells[count >= 2].tolist() if tuple(cell) not in at]
+        if not empty:
+            return part
+        places = self._map(part)(np.array(empty, dtype=np.float64))
+        added = [
+            (cell, place, turn)
+            for cell, place in zip(empty, places, strict=True)
+            if (turn := self._turn_where_edges_meet(part, at, cell, place)) is not None
+        ]
+        if not added:
+            return part
+        first = len(self.points)
+        self.points = np.concatenate([self.points, [place for _, place, _ in added]])
+        return _Part(
+            np.concatenate([part.saddles, np.arange(first, len(self.points))]),
+            np.concatenate([part.indices, [cell for cell, _, _ in added]]),
+            np.concatenate([part.turn, [turn for _, _, turn in added]]),
+        )
+
+    def _turn_where_edges_meet(
+        self, part: _Part, at: dict[tuple[int, int], int], cell: list[int], place: FloatArray
+    ) -> int | None:
+        """Return the turn of a corner at a place that edges from all its neighbours reach."""
+        beside = [
+            (step, at[cell[0] + di, cell[1] + dj])
+            for step, (di, dj) in enumerate(_STEPS.tolist())
+            if (cell[0] + di, cell[1] + dj) in at
+        ]
+        if len({step % 2 for step, _ in beside}) < 2:
+            return None
+        steps, neighbours = np.array(beside).T
+        own = part.saddles[neighbours]
+        if (own >= len(self.saddles)).any():
+            return None
+        rays = (part.turn[neighbours] + steps + 2) % 4
+        shows = edge_shows(
+            self.points[own],
+            np.broadcast_to(place, (len(own), 2)),
+            np.where(rays % 2 == 0, 1.0, -1.0),
+            self.saddles.contrast[own],
+            self.saddles.level[own],
+            self.pyramid,
+        )
+        # Kinds of rays alternate along an edge: the turn differs by one from the neighbour's.
+        return int(part.turn[neighbours[0]] + 1) % 4 if shows.all() else None
+
+    def _alternating(self, part: _Part) -> _Part:
+        """Keep corners whose four squares are black and white in turn, close to the corner.
+
+        At the rim of the board and of a hand edges may meet as well, but not in four squares.
+        """
+        if len(part) < _FEWEST_CORNERS:
+            return part
+        lattice = part.indices.astype(np.float64)
+        board_map = self._map(part)
+        away = _BESIDE_CORNER * board_map.jacobian(lattice)
+        points = self.points[part.saddles]
+        places = points[:, None] + np.einsum("nij,qj->nqi", away, _QUADRANTS)
+        levels = self.pyramid.sample(places, 0).astype(np.float64)
+        sign = np.where(part.turn % 2 == 0, 1.0, -1.0)  # of the square towards (+i, +j)
+        bright = np.where(sign[:, None] > 0, levels[:, [0, 2]], levels[:, [1, 3]])
+        dark = np.where(sign[:, None] > 0, levels[:, [1, 3]], levels[:, [0, 2]])
+        step = bright.min(axis=1) - dark.max(axis=1)
+        keep = step > _LEAST_STEP * np.median(step)
+        return _Part(part.saddles[keep], part.indices[keep], part.turn[keep])
+
+    def _map(self, part: _Part) -> BoardMap:
+        return BoardMap.fit(
+            part.indices.astype(np.float64),
+            self.points[part.saddles],
+            self.size_wh,
+            lens_only=True,
+        )
+
+    def _without_strays(self, part: _Part) -> _Part:
+        """Drop corners off the map of the others, the farthest first: it bends the map most."""
+        while len(part) >= _FEWEST_CORNERS:
+            lattice = part.indices.astype(np.float64)
+            board_map = self._map(part)
+            off = np.linalg.norm(board_map(lattice) - self.points[part.saddles], axis=1)
+            side = np.abs(np.linalg.det(board_map.jacobian(lattice))) ** 0.5
+            excess = off / np.maximum(_OFF_MAP * side, _OFF_MAP_PX)
+            if excess.max() <= 1:
+                break
+            keep = excess < max(1.0, _FARTHEST_FIRST * excess.max())
+            part = _Part(part.saddles[keep], part.indices[keep], part.turn[keep])
+        return part
+
+
+def _next_on_line(p0: FloatArray, p1: FloatArray, p2: FloatArray) -> FloatArray:
+    """Continue equal steps on lines seen in perspective, points (..., 2).
+
+    Steps d1, d2 and d3 of a line with equal steps have the cross ratio
+    (d1 + d2) (d2 + d3) / (d2 (d1 + d2 + d3)) = 4 / 3, so d3 = d2 (d1 + d2) / (3 d1 - d2).
+    """
+    d1, d2 = np.linalg.norm(p1 - p0, axis=-1), np.linalg.norm(p2 - p1, axis=-1)
+    longer = (d1 + d2) / np.maximum(3 * d1 - d2, 1e-9)  # d3 / d2
+    return np.asarray(p2 + (p2 - p1) * np.clip(longer, *_STRETCH)[..., None])
+
+
+def _share_places(first: IntArray, others: IntArray) -> bool:
+    taken = {tuple(place) for place in first.tolist()}
+    return any(tuple(place) in taken for place in others.tolist())
+
+
+def _inverse(board_map: BoardMap, points: FloatArray, near: IntArray) -> FloatArray:
+    """Return lattice coordinates of pixels by Newton's method from the nearest corner."""
+    mapped = board_map(near.astype(np.float64))
+    _, nearest = cKDTree(mapped).query(points)
+    at = near[nearest].astype(np.float64)
+    for _ in range(8):
+        off = points - board_map(at)
+        step = np.linalg.solve(board_map.jacobian(at), off[..., None])[..., 0]
+        at = at + np.clip(step, -2, 2)
+    return np.asarray(at)
