@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from calichrome.core.arrays import FloatArray, IntArray
 from calichrome.core.homography import apply_homography
+from calichrome.detection.board_map import BoardMap
 from calichrome.detection.corner_pixels import Discs
 from calichrome.detection.levels import Levels
 from calichrome.detection.refinement import RefinedCorners, refine_corners
@@ -57,7 +58,11 @@ def _levels(picture: NDArray[np.floating]) -> Levels:
 def _refined(
     picture: NDArray[np.floating], start: FloatArray, discs: Discs = _NO_DISCS
 ) -> RefinedCorners:
-    return refine_corners([_levels(picture)], start, _INDICES, _WHITE, discs, _SIZE_WH)
+    return refine_corners([_levels(picture)], start, _INDICES, _WHITE, discs, _map_of(start))
+
+
+def _map_of(start: FloatArray) -> BoardMap:
+    return BoardMap.fit(_INDICES.astype(np.float64), start, _SIZE_WH, lens_only=True)
 
 
 @pytest.fixture(scope="module")
@@ -168,6 +173,6 @@ def test_edges_tell_whether_the_picture_is_encoded(
 ) -> None:
     picture = _noisy(clean ** (1 / 2.2) if encoded else clean, 0.004, rng)
     readings = [_levels(picture**2.2), _levels(picture)]
-    found = refine_corners(readings, truth, _INDICES, _WHITE, _NO_DISCS, _SIZE_WH)
+    found = refine_corners(readings, truth, _INDICES, _WHITE, _NO_DISCS, _map_of(truth))
     assert found.reading == (0 if encoded else 1)
     np.testing.assert_allclose(found.corners_px, truth, atol=0.02)

@@ -90,13 +90,13 @@ def _place(image: Image, tones: NDArray[np.float32], target: Target) -> _Placed 
     reason = ""
     for lattice in lattices:
         indices = lattice.indices.astype(np.float64)
-        board_map = BoardMap.fit(indices, lattice.corners_px, image.size_wh, lens_only=True)
-        spacing = float(np.median(np.linalg.norm(board_map.jacobian(indices), axis=1)))
+        to_pixels = lattice.board_map
+        spacing = float(np.median(np.linalg.norm(to_pixels.jacobian(indices), axis=1)))
         if spacing < _MIN_SPACING_PX:
             small = f"squares of {spacing:.0f} px are too small to measure; bring the board nearer"
             reason = reason or small
             continue
-        placement = identify(image, lattice, board_map, target)
+        placement = identify(image, lattice, to_pixels, target)
         if isinstance(placement, str):
             reason = reason or placement
         else:
@@ -122,10 +122,11 @@ def _measure(image: Image, target: Target, placed: _Placed) -> BoardView:
     nx = target.corners_xy[0]
     indices = np.stack([corner_ids % nx, corner_ids // nx], axis=1)
     lattice = indices.astype(np.float64)
-    edges = BoardMap.fit(lattice, start_px, image.size_wh, lens_only=True).edges(lattice)
+    board_map = BoardMap.fit(lattice, start_px, image.size_wh, lens_only=True)
+    edges = board_map.edges(lattice)
     white = ~target.black_squares[indices[:, 1] + 1, indices[:, 0] + 1]
     readings = readings_of(image, best_mix(image, start_px, edges, white))
-    refined = refine_corners(readings, start_px, indices, white, _discs_of(target), image.size_wh)
+    refined = refine_corners(readings, start_px, indices, white, _discs_of(target), board_map)
     discs = None
     if target.markers and image.is_colour:
         to_pixels = _to_pixels(refined, lattice, target, image.size_wh)

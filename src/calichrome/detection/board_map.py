@@ -123,6 +123,12 @@ class BoardMap:
             n_free=round(free) if free > 0 else 0,
         )
 
+    @property
+    def size_wh(self) -> tuple[int, int]:
+        """Of the picture."""
+        width, height = np.rint(2 * self.centre_px + 1).astype(int).tolist()
+        return width, height
+
     def __call__(self, points: FloatArray) -> FloatArray:
         """Map lattice coordinates (..., 2) to pixels (..., 2)."""
         lattice = (np.reshape(points, (-1, 2)) - self.origin) / self.unit

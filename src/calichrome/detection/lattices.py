@@ -1,11 +1,12 @@
 """Chessboards grown from saddles: which corners belong together, and where each stands in the grid.
 
-Links join neighbours (`saddle_links`); squares of four links seed lattices; what is predicted from the
-corners around a gap is searched there; parts that one map explains, on both sides of a hand, join.
+Links join neighbours (`saddle_links`); squares of four links seed lattices; what is predicted from
+the corners around a gap is searched there; parts that one map explains, on both sides of a hand,
+join.
 """
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -42,10 +43,11 @@ _QUADRANTS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
 _LEAST_STEP = 0.3  # from black to white across a corner, of the median over the board
 _REACH = 3  # places beside a part that its lines may reach, and what np.roll needs
 _STRETCH = (0.5, 2.0)  # of a step to the one before, at most, however steep the view
+_LARGEST_TURN = np.deg2rad(35)  # between a ray and its neighbour; the place is known already
 _ROUNDS = 12  # of growing, each by a ring of corners
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lattice:
     """Corners of one chessboard, or of the part of it that is seen.
 
@@ -57,11 +59,14 @@ class Lattice:
         To about a third of a pixel.
     black_parity
         The square between (i, j) and (i + 1, j + 1) is black where (i + j) % 2 is this.
+    board_map
+        Lattice coordinates to pixels, by homography and radial distortion.
     """
 
     indices: IntArray
     corners_px: FloatArray
     black_parity: int
+    board_map: BoardMap
 
     def __len__(self) -> int:
         return len(self.indices)
@@ -119,6 +124,7 @@ class _Search:
         self.saddles, self.links, self.pyramid, self.size_wh = saddles, links, pyramid, size_wh
         self.rays = ray_angles(saddles.angles_rad)
         self.points = saddles.points_px
+        self.tree = cKDTree(self.points.reshape(-1, 2))
 
     def seeds(self) -> list[_Part]:
         """Connect saddles over links that are sides of closed squares."""
@@ -216,55 +222,47 @@ class _Search:
         self, part: _Part, cells: IntArray, predicted: FloatArray, reach: FloatArray
     ) -> _Part:
         """Take the saddles at predicted places whose rays fit and that an edge joins."""
-        distance, nearest = cKDTree(self.points).query(predicted)
-        used = np.zeros(len(self.saddles), dtype=bool)
-        used[part.saddles] = True
-        at = {(i, j): k for k, (i, j) in enumerate(part.indices.tolist())}
-        chosen: list[tuple[int, int, int, int]] = []
-        for (i, j), saddle, off, limit in zip(
-            cells.tolist(), nearest.tolist(), distance, reach, strict=True
-        ):
-            if off > limit or used[saddle]:
-                continue
-            turn = self._turn_beside(part, at, i, j, saddle)
-            if turn is not None:
-                chosen.append((saddle, i, j, turn))
-                used[saddle] = True
-        table = np.array(chosen, dtype=np.int64).reshape(-1, 4)
-        return _Part(table[:, 0], table[:, 1:3], table[:, 3])
+        distance, saddle = self.tree.query(predicted)
+        # Each saddle for the place that it is nearest to, if it is free.
+        order = np.lexsort((distance, saddle))
+        first = np.append(True, np.diff(saddle[order]) > 0)
+        best = order[first]
+        free = ~np.isin(saddle[best], part.saddles) & (distance[best] <= reach[best])
+        cells, saddle = cells[best[free]], saddle[best[free]]
+        turn = np.full(len(cells), -1)
+        for step, offset in enumerate(_STEPS):
+            open_ = np.flatnonzero(turn < 0)
+            beside = _find_rows(part.indices, cells[open_] + offset)
+            own = open_[beside >= 0]
+            turn[own] = self._turns(part, beside[beside >= 0], saddle[own], step)
+        joined = turn >= 0
+        return _Part(saddle[joined], cells[joined], turn[joined])
 
-    def _turn_beside(
-        self, part: _Part, at: dict[tuple[int, int], int], i: int, j: int, saddle: int
-    ) -> int | None:
-        """Return the ray of a saddle that is +i, if an edge to a neighbour says so."""
-        for step, (di, dj) in enumerate(_STEPS.tolist()):
-            beside = at.get((i + di, j + dj))
-            if beside is None:
-                continue
-            other = int(part.saddles[beside])
-            # The neighbour's ray towards the saddle, and the saddle's ray back, of the other kind.
-            towards = (int(part.turn[beside]) + step + 2) % 4
-            heading = np.arctan2(*(self.points[other] - self.points[saddle])[::-1])
-            off = np.abs((self.rays[saddle] - heading + np.pi) % (2 * np.pi) - np.pi)
-            off[np.arange(4) % 2 == towards % 2] = np.inf
-            back = int(off.argmin())
-            if off[back] > np.deg2rad(35):
-                continue
-            if self._is_edge(saddle, other, back):
-                return (back - step) % 4
-        return None
+    def _turns(self, part: _Part, beside: IntArray, saddle: IntArray, step: int) -> IntArray:
+        """Return the rays of saddles that are +i, told by the edge to a neighbour; else -1.
 
-    def _is_edge(self, start: int, end: int, ray: int) -> bool:
-        pair = np.array([start, end])
+        The neighbours lie in direction `step`. Their rays back and the saddles' rays to them are
+        of different kinds.
+        """
+        if not len(saddle):
+            return np.empty(0, dtype=np.int64)
+        other = part.saddles[beside]
+        towards = part.turn[beside] + step + 2
+        offset = self.points[other] - self.points[saddle]
+        heading = np.arctan2(offset[:, 1], offset[:, 0])
+        off = np.abs((self.rays[saddle] - heading[:, None] + np.pi) % (2 * np.pi) - np.pi)
+        off[np.arange(4) % 2 == (towards % 2)[:, None]] = np.inf
+        ray = off.argmin(axis=1)
         shows = edge_shows(
-            self.points[[start]],
-            self.points[[end]],
-            np.array([1.0 if ray % 2 == 0 else -1.0]),
-            np.array([self.saddles.contrast[pair].min()]),
-            np.array([self.saddles.level[pair].max()]),
+            self.points[saddle],
+            self.points[other],
+            np.where(ray % 2 == 0, 1.0, -1.0),
+            np.minimum(self.saddles.contrast[saddle], self.saddles.contrast[other]),
+            np.maximum(self.saddles.level[saddle], self.saddles.level[other]),
             self.pyramid,
         )
-        return bool(shows[0])
+        shows &= off.min(axis=1) < _LARGEST_TURN
+        return np.where(shows, (ray - step) % 4, -1)
 
     def joined(self, parts: list[_Part]) -> list[_Part]:
         """Join parts that the map of a larger one explains."""
@@ -274,7 +272,7 @@ class _Search:
             first, *rest = parts
             rest = [part for part in rest if not np.isin(part.saddles, first.saddles).any()]
             parts = rest
-            if len(first) >= _FEWEST_TO_PREDICT:
+            if rest and len(first) >= _FEWEST_TO_PREDICT:
                 board_map = self._map(first)
                 for other in rest:
                     both = self._join(first, other, board_map)
@@ -324,17 +322,26 @@ class _Search:
         if _FEWEST_CORNERS <= len(cleaned) < len(part):
             # A stray may have sat where a corner belongs.
             cleaned = self._without_strays(self.grown(cleaned))
-        part = self._alternating(self._filled(cleaned))
+        if len(cleaned) < _FEWEST_CORNERS:
+            return None
+        board_map = self._map(cleaned)
+        part = self._alternating(self._filled(cleaned, board_map), board_map)
         extent = np.ptp(part.indices, axis=0) + 1 if len(part) else np.zeros(2)
         if len(part) < _FEWEST_CORNERS or extent.min() < _SMALLEST_SIDE:
             return None
-        indices = part.indices - part.indices.min(axis=0)
+        origin = part.indices.min(axis=0)
+        indices = part.indices - origin
         # Ray 0 opens a bright sector: with an even turn the square towards (+i, +j) is white.
         white = part.turn % 2 == 0
         parities = (indices.sum(axis=1) + white) % 2
-        return Lattice(indices, self.points[part.saddles], int(np.rint(parities.mean())))
+        return Lattice(
+            indices=indices,
+            corners_px=self.points[part.saddles],
+            black_parity=int(np.rint(parities.mean())),
+            board_map=replace(board_map, origin=board_map.origin - origin),
+        )
 
-    def _filled(self, part: _Part) -> _Part:
+    def _filled(self, part: _Part, board_map: BoardMap) -> _Part:
         """Add corners that are no clear saddles, where edges of two directions meet."""
         if len(part) < _FEWEST_TO_PREDICT:
             return part
@@ -344,7 +351,7 @@ class _Search:
         empty = [cell for cell in cells[count >= 2].tolist() if tuple(cell) not in at]
         if not empty:
             return part
-        places = self._map(part)(np.array(empty, dtype=np.float64))
+        places = board_map(np.array(empty, dtype=np.float64))
         added = [
             (cell, place, turn)
             for cell, place in zip(empty, places, strict=True)
@@ -387,16 +394,12 @@ class _Search:
         # Kinds of rays alternate along an edge: the turn differs by one from the neighbour's.
         return int(part.turn[neighbours[0]] + 1) % 4 if shows.all() else None
 
-    def _alternating(self, part: _Part) -> _Part:
+    def _alternating(self, part: _Part, board_map: BoardMap) -> _Part:
         """Keep corners whose four squares are black and white in turn, close to the corner.
 
         At the rim of the board and of a hand edges may meet as well, but not in four squares.
         """
-        if len(part) < _FEWEST_CORNERS:
-            return part
-        lattice = part.indices.astype(np.float64)
-        board_map = self._map(part)
-        away = _BESIDE_CORNER * board_map.jacobian(lattice)
+        away = _BESIDE_CORNER * board_map.jacobian(part.indices.astype(np.float64))
         points = self.points[part.saddles]
         places = points[:, None] + np.einsum("nij,qj->nqi", away, _QUADRANTS)
         levels = self.pyramid.sample(places, 0).astype(np.float64)
@@ -439,6 +442,16 @@ def _next_on_line(p0: FloatArray, p1: FloatArray, p2: FloatArray) -> FloatArray:
     d1, d2 = np.linalg.norm(p1 - p0, axis=-1), np.linalg.norm(p2 - p1, axis=-1)
     longer = (d1 + d2) / np.maximum(3 * d1 - d2, 1e-9)  # d3 / d2
     return np.asarray(p2 + (p2 - p1) * np.clip(longer, *_STRETCH)[..., None])
+
+
+def _find_rows(table: IntArray, rows: IntArray) -> IntArray:
+    """Return where rows (M, 2) stand in a table (N, 2), -1 where they do not."""
+    low = np.minimum(table.min(axis=0), rows.min(axis=0, initial=table.min()))
+    span = int(max(table.max(), rows.max(initial=table.max())) - low.min()) + 1
+    keys, wanted = ((part - low) @ [1, span] for part in (table, rows))
+    order = np.argsort(keys)
+    at = np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)
+    return np.where(keys[order[at]] == wanted, order[at], -1)
 
 
 def _share_places(first: IntArray, others: IntArray) -> bool:

@@ -169,7 +169,7 @@ def refine_corners(
     indices: IntArray,
     white: BoolArray,
     discs: Discs,
-    size_wh: tuple[int, int],
+    board_map: BoardMap,
 ) -> RefinedCorners:
     """Fit every corner.
 
@@ -186,11 +186,11 @@ def refine_corners(
         Whether the square to the lower right of a corner is white.
     discs
         What lies inside the squares and must not be fitted.
-    size_wh
-        Of the picture.
+    board_map
+        The board in the picture, from the corners as they were found.
     """
+    size_wh = board_map.size_wh
     lattice = indices.astype(np.float64)
-    board_map = BoardMap.fit(lattice, start_px, size_wh, lens_only=True)
     start_px = _pulled_in(start_px, board_map(lattice))
     edges = board_map.edges(lattice)
     alone = [

@@ -95,7 +95,7 @@ def build_pyramid(grey: Plane) -> Pyramid:
 def estimate_noise(grey: Plane) -> float:
     rows = grey[: grey.shape[0] // 3 * 3].reshape(-1, 3, grey.shape[1])[::5]
     a = rows[:, :, :-2] - 2 * rows[:, :, 1:-1] + rows[:, :, 2:]
-    second = np.abs(a[:, 0] - 2 * a[:, 1] + a[:, 2])[:, ::2]
+    second = np.abs(a[:, 0] - 2 * a[:, 1] + a[:, 2])[:, ::3]
     return float(np.quantile(second, 0.3)) / (6 * 0.3853)
 
 
@@ -109,35 +109,49 @@ def find_saddles(grey: Plane, pyramid: Pyramid | None = None) -> Saddles:
 
 def _saddles_of_level(pyramid, level):
     plane = pyramid.planes[level]
-    xx, xy, yy = (
-        cv2.Sobel(plane, cv2.CV_32F, *order, ksize=3) for order in ((2, 0), (1, 1), (0, 2))
-    )
-    measure = cv2.multiply(xy, xy)
-    cv2.subtract(measure, cv2.multiply(xx, yy), dst=measure)
-    peaks = cv2.compare(measure, cv2.dilate(measure, np.ones((5, 5), np.uint8)), cv2.CMP_GE)
-    least = max(_LEAST_STRENGTH, pyramid.noise * _MAXIMA_OF_NOISE[level])
-    cv2.bitwise_and(peaks, cv2.compare(measure, least**2, cv2.CMP_GT), dst=peaks)
-    edge = int(_RING_PX) + 1
-    peaks[:edge] = peaks[-edge:] = 0
-    peaks[:, :edge] = peaks[:, -edge:] = 0
-    places = cv2.findNonZero(peaks)
-    if places is None:
-        return np.empty((0, 2)), np.empty((0, 2)), np.empty(0), np.empty(0, np.int64)
-    x, y = places.reshape(-1, 2).T
+    least = max(_LEAST_STRENGTH, pyramid.noise * _MAXIMA_OF_NOISE[level]) ** 2
+    x, y, measure, curvature = _maxima(plane, least)
     if len(x) > _MOST_PER_LEVEL:
-        best = np.argpartition(-measure[y, x], _MOST_PER_LEVEL)[:_MOST_PER_LEVEL]
-        x, y = x[best], y[best]
-    # Newton step to the stationary point; Sobel's kernels give 4 x second derivatives
+        best = np.argpartition(-measure, _MOST_PER_LEVEL)[:_MOST_PER_LEVEL]
+        x, y, measure, curvature = x[best], y[best], measure[best], curvature[:, best]
+    # Newton step to the stationary point
     gx = (plane[y, x + 1] - plane[y, x - 1]) / 2
     gy = (plane[y + 1, x] - plane[y - 1, x]) / 2
-    a, b, c, det = xx[y, x] / 4, xy[y, x] / 4, yy[y, x] / 4, -measure[y, x] / 16
-    step = np.stack([(b * gy - c * gx) / det, (b * gx - a * gy) / det], axis=1)
-    ok = np.abs(step).max(axis=1) < 1.5
+    (xx, xy, yy), det = curvature / _SOBEL, -measure / _SOBEL**2
+    step = np.stack([(xy * gy - yy * gx) / det, (xy * gx - xx * gy) / det], axis=1)
+    ok = np.abs(step).max(axis=1, initial=0) < 1.5
     centre = np.stack([x, y], axis=1)[ok] + step[ok].astype(np.float64)
     points = pyramid.from_level(centre, level)
     angles, contrast, ok = _ring_test(pyramid, points, level)
     return points[ok], angles[ok], contrast[ok], np.full(ok.sum(), level)
 
+
+def _maxima(plane, least):
+    """Find maxima of xy^2 - xx yy above `least`, in strips that stay in the processor's cache."""
+    height, width = plane.shape
+    found = []
+    for top in range(_EDGE, height - _EDGE, _STRIP):
+        rows = min(_STRIP, height - _EDGE - top)
+        strip = plane[top - _EDGE : top + rows + _EDGE]
+        xx, xy, yy = (
+            cv2.Sobel(strip, cv2.CV_32F, *order, ksize=3) for order in ((2, 0), (1, 1), (0, 2))
+        )
+        measure = xy * xy
+        measure -= xx * yy
+        peaks = measure == cv2.dilate(measure, _AROUND)
+        peaks &= measure > least
+        peaks[:_EDGE] = peaks[-_EDGE:] = False
+        peaks[:, :_EDGE] = peaks[:, -_EDGE:] = False
+        at = np.unravel_index(np.flatnonzero(peaks), peaks.shape)  # 8 times as fast as nonzero
+        curvature = np.stack([xx[at], xy[at], yy[at]])
+        found.append((at[1], at[0] + (top - _EDGE), measure[at], curvature))
+    return [np.concatenate(part, axis=-1) for part in zip(*found, strict=True)]
+
+
+_SOBEL = 4.0  # its kernels give 4 times the second derivatives
+_EDGE = 4
+_STRIP = 128
+_AROUND = np.ones((5, 5), np.uint8)
 
 _RAYS = np.arange(2 * _N_RAYS) * (np.pi / _N_RAYS)
 _RING = np.stack([np.cos(_RAYS), np.sin(_RAYS)], axis=1)
