@@ -33,6 +33,9 @@ _OFF_PREDICTION = 0.25
 _OFF_MAP, _OFF_MAP_PX = 0.03, 0.8
 """Of a square, and at least: farther from the map of the others a corner is not one of them. True
 corners are off by up to 0.45 px, what the rim of a hand makes of an edge by 1.5 to 3.5 px."""
+_ISLANDS = 3  # squares beyond a part that its map is trusted to
+_ISLAND_TURN = np.deg2rad(20)
+_OFF_ISLAND = 0.1  # of a square; once it belongs to them, its place must fit like any other
 _FARTHEST_FIRST = 0.5  # of the largest excess: corners beyond go at once, nearer ones later
 _FEWEST_TO_PREDICT = 12  # corners whose map may be believed beyond a gap
 _JOINS = 0.2  # of a square: parts join where the map of one meets the corners of the other
@@ -325,6 +328,10 @@ class _Search:
         if len(cleaned) < _FEWEST_CORNERS:
             return None
         board_map = self._map(cleaned)
+        islands = self._with_islands(cleaned, board_map)
+        if len(islands) > len(cleaned):
+            cleaned = self._without_strays(self.grown(islands))
+            board_map = self._map(cleaned)
         part = self._alternating(self._filled(cleaned, board_map), board_map)
         extent = np.ptp(part.indices, axis=0) + 1 if len(part) else np.zeros(2)
         if len(part) < _FEWEST_CORNERS or extent.min() < _SMALLEST_SIDE:
@@ -339,6 +346,36 @@ class _Search:
             corners_px=self.points[part.saddles],
             black_parity=int(np.rint(parities.mean())),
             board_map=replace(board_map, origin=board_map.origin - origin),
+        )
+
+    def _with_islands(self, part: _Part, board_map: BoardMap) -> _Part:
+        """Add saddles that no edge joins, between fingers, if place and directions fit the map."""
+        if len(part) < _FEWEST_TO_PREDICT:
+            return part
+        others = np.setdiff1d(np.arange(len(self.saddles)), part.saddles)
+        where = _inverse(board_map, self.points[others], part.indices)
+        cells = np.rint(where).astype(np.int64)
+        low, high = part.indices.min(axis=0) - _ISLANDS, part.indices.max(axis=0) + _ISLANDS
+        near = (np.abs(where - cells) < _OFF_ISLAND).all(axis=1)
+        near &= ((cells >= low) & (cells <= high)).all(axis=1)
+        near &= _find_rows(part.indices, cells) < 0
+        others, cells = others[near], cells[near]
+        jacobian = board_map.jacobian(cells.astype(np.float64))
+        heading = np.arctan2(jacobian[:, 1], jacobian[:, 0])  # of +i and +j
+        off = np.abs((self.rays[others, None] - heading[:, :, None] + np.pi) % (2 * np.pi) - np.pi)
+        turn = off[:, 0].argmin(axis=1)
+        next_ray = (turn + 1) % 4
+        fits = (off[:, 0].min(axis=1) < _ISLAND_TURN) & (
+            off[np.arange(len(others)), 1, next_ray] < _ISLAND_TURN
+        )
+        parity = np.rint(((part.indices.sum(axis=1) + part.turn) % 2).mean())
+        fits &= (cells.sum(axis=1) + turn) % 2 == parity
+        others, cells, turn = others[fits], cells[fits], turn[fits]
+        _, first = np.unique(cells, axis=0, return_index=True)
+        return _Part(
+            np.concatenate([part.saddles, others[first]]),
+            np.concatenate([part.indices, cells[first]]),
+            np.concatenate([part.turn, turn[first]]),
         )
 
     def _filled(self, part: _Part, board_map: BoardMap) -> _Part:
