@@ -23,6 +23,8 @@ from calichrome.geometry.lenses import BrownConrady
 from calichrome.geometry.rig_solve import solve_rig_pairwise
 from calichrome.observations import BoardView, Dataset, DiscSamples
 from calichrome.pipeline.calibrate import _solve_colour, calibrate_dataset
+from calichrome.pipeline.detect import _file_findings
+from calichrome.pipeline.detection_cache import Seen
 from calichrome.pipeline.judge import judge_geometry, judge_target
 from calichrome.synthetic import random_scene, write_recording
 from calichrome.target import Paper, Target, chessboard
@@ -534,3 +536,26 @@ def test_critical_finding_gives_exit_code_3(cli: Cli, tmp_path: Path) -> None:
     assert "Trustworthy: NO" in outcome.out
     assert "critical weak_geometry" in outcome.out
     assert not json.loads((tmp_path / "r.json").read_text())["trustworthy"]
+
+
+def _seen_with(cov_scale: float) -> dict[tuple[str, str], Seen]:
+    corners = np.stack(np.meshgrid(np.arange(5.0), np.arange(4.0)), axis=-1).reshape(-1, 2)
+    view = BoardView(
+        corner_ids=np.arange(20),
+        corners_px=30 * corners,
+        cov_px=np.broadcast_to(0.01 * np.eye(2), (20, 2, 2)),
+        cov_scale=cov_scale,
+    )
+    return {("cam0", str(frame)): Seen(found=view, size_wh=(640, 480)) for frame in range(3)}
+
+
+@pytest.mark.parametrize("cov_scale", [0.3, 3.0])
+def test_correlated_noise_fires(cov_scale: float) -> None:
+    (found,) = _file_findings(_seen_with(cov_scale))
+    assert found.code == "correlated_noise"
+    assert found.data["cov_scale"] == cov_scale
+
+
+@pytest.mark.parametrize("cov_scale", [0.8, 1.0, 1.3])
+def test_correlated_noise_does_not_fire(cov_scale: float) -> None:
+    assert not _file_findings(_seen_with(cov_scale))

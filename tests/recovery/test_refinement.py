@@ -35,8 +35,8 @@ def _picture(homography: FloatArray, disc_ratio: float = 0) -> NDArray[np.float3
     width, height = _SIZE_WH
     x = (np.arange(width * _SAMPLES) + 0.5) / _SAMPLES - 0.5
     y = (np.arange(height * _SAMPLES) + 0.5) / _SAMPLES - 0.5
-    points = np.stack(np.meshgrid(x, y), axis=-1, dtype=np.float64)
-    board = apply_homography(np.linalg.inv(homography), points)
+    points = np.asarray(np.stack(np.meshgrid(x, y), axis=-1), dtype=np.float64)
+    board = apply_homography(np.asarray(np.linalg.inv(homography)), points)
     cell = np.floor(board)
     white = (cell.sum(axis=-1) % 2 == 1) | (cell < -1).any(axis=-1) | (cell >= [5, 4]).any(axis=-1)
     values = np.where(white, _WHITE_LEVEL, _BLACK_LEVEL).astype(np.float32)

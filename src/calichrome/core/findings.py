@@ -31,6 +31,7 @@ SEVERITIES: Mapping[str, Severity] = MappingProxyType(
         "unreadable_frame": "warning",
         "no_board_frame": "note",
         "rotation_tag_ignored": "note",
+        "correlated_noise": "note",
         "colour_not_calibrated": "note",
         "clipped_discs": "warning",
     }

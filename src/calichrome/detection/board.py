@@ -135,6 +135,7 @@ def _measure(image: Image, target: Target, placed: _Placed) -> BoardView:
         corner_ids=corner_ids,
         corners_px=refined.corners_px,
         cov_px=refined.cov_px,
+        cov_scale=refined.disagreement if np.isfinite(refined.disagreement) else 1.0,
         half_turn_ambiguous=placed.placement.half_turn_ambiguous,
         discs=discs,
     )

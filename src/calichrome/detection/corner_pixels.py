@@ -66,7 +66,7 @@ class Discs:
         to_disc = np.linalg.inv(board_map.jacobian(centres))
         with np.errstate(divide="ignore"):
             to_disc /= self.radius[..., None]
-        return DiscsInPicture(board_map(centres), to_disc, self.radius[..., 0] > 0)
+        return DiscsInPicture(board_map(centres), np.asarray(to_disc), self.radius[..., 0] > 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from calichrome.core.arrays import BoolArray, FloatArray, IntArray
 from calichrome.detection.board_map import BoardMap
+from calichrome.detection.pyramid import Plane, Pyramid, build_pyramid
 from calichrome.detection.saddle_links import (
     NO_NEIGHBOUR,
     Links,
@@ -20,7 +21,7 @@ from calichrome.detection.saddle_links import (
     link_saddles,
     ray_angles,
 )
-from calichrome.detection.saddles import Plane, Pyramid, Saddles, build_pyramid, find_saddles
+from calichrome.detection.saddle_points import Saddles, find_saddles
 
 __all__ = ["Lattice", "find_lattices"]
 
@@ -100,7 +101,7 @@ def find_lattices(grey: Plane) -> list[Lattice]:
         Of 3x3 corners at least; each a board or a part of one.
     """
     pyramid = build_pyramid(grey)
-    saddles = find_saddles(grey, pyramid)
+    saddles = find_saddles(pyramid)
     links = link_saddles(saddles, pyramid)
     size_wh = grey.shape[1], grey.shape[0]
     search = _Search(saddles, links, pyramid, size_wh)
@@ -176,7 +177,7 @@ class _Search:
                 if there in place or cell in taken:
                     continue
                 back = int(self.links.arrival[here, ray])
-                place[there] = *cell, (back - step - 2) % 4
+                place[there] = *cell, int(back - step - 2) % 4
                 taken.add(cell)
                 queue.append(there)
         members = np.array(list(place), dtype=np.int64)
@@ -298,9 +299,7 @@ class _Search:
         places = nearest.astype(np.int64)
         # How the other part's axes lie in the first one's: some quarter turn explains all places.
         for quarter in range(4):
-            turned = other.indices
-            for _ in range(quarter):
-                turned = turned[:, ::-1] * [-1, 1]
+            turned = _quarter_turned(other.indices, quarter)
             shift = places - turned
             if (shift == shift[0]).all() and not _share_places(first.indices, places[fresh]):
                 turn = (other.turn - quarter) % 4
@@ -489,6 +488,13 @@ def _find_rows(table: IntArray, rows: IntArray) -> IntArray:
     order = np.argsort(keys)
     at = np.minimum(np.searchsorted(keys[order], wanted), len(keys) - 1)
     return np.where(keys[order[at]] == wanted, order[at], -1)
+
+
+def _quarter_turned(indices: IntArray, quarters: int) -> IntArray:
+    """Turn lattice coordinates by quarters, +i towards +j."""
+    for _ in range(quarters):
+        indices = np.stack([-indices[:, 1], indices[:, 0]], axis=1)
+    return indices
 
 
 def _share_places(first: IntArray, others: IntArray) -> bool:

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from calichrome.core.arrays import BoolArray, FloatArray, IntArray
-from calichrome.detection.saddles import Pyramid, Saddles
+from calichrome.detection.pyramid import Pyramid
+from calichrome.detection.saddle_points import Saddles
 
 __all__ = ["NO_NEIGHBOUR", "Links", "edge_shows", "link_saddles", "ray_angles"]
 
@@ -122,15 +123,9 @@ def edge_shows(
     aside = np.minimum(np.maximum(_ASIDE * length, least), 0.25 * length)
     places = starts_px[:, None] + _PLACES[:, None] * along[:, None]
     shift = (aside[:, None] * normal)[:, None]
-    shows = np.zeros(len(along), dtype=bool)
-    for index in np.unique(level):
-        own = level == index
-        bright = pyramid.sample(places[own] + shift[own], int(index))
-        dark = pyramid.sample(places[own] - shift[own], int(index))
-        step = (bright - dark) * bright_side[own, None]
-        enough = step > _LEAST_CONTRAST * contrast[own, None]
-        shows[own] = enough.sum(axis=1) >= _FEWEST_PLACES
-    return shows
+    step = pyramid.sample(places + shift, level) - pyramid.sample(places - shift, level)
+    enough = step * bright_side[:, None] > _LEAST_CONTRAST * contrast[:, None]
+    return np.asarray(enough.sum(axis=1) >= _FEWEST_PLACES)
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:

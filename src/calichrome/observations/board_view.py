@@ -55,6 +55,9 @@ class BoardView:
         Pixel (0, 0) is the centre of the top-left pixel.
     cov_px : (N, 2, 2) float, or None
         Covariance of each corner, px^2; None if it was not estimated.
+    cov_scale
+        By what `cov_px` was multiplied because the corners disagree with a smooth board by more (or
+        less) than white noise explains; 1 if nothing was.
     half_turn_ambiguous
         True if the board looks the same after half a turn, so that the ids may be turned.
     discs
@@ -64,6 +67,7 @@ class BoardView:
     corner_ids: IntArray
     corners_px: FloatArray
     cov_px: FloatArray | None = None
+    cov_scale: float = 1.0
     half_turn_ambiguous: bool = False
     discs: DiscSamples | None = None
 
