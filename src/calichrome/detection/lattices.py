@@ -105,8 +105,7 @@ def find_lattices(grey: Plane) -> list[Lattice]:
     links = link_saddles(saddles, pyramid)
     size_wh = grey.shape[1], grey.shape[0]
     search = _Search(saddles, links, pyramid, size_wh)
-    parts = [search.grown(part) for part in search.seeds()]
-    parts = search.joined([part for part in parts if len(part) >= 4])
+    parts = search.joined(search.grown_apart(search.seeds()))
     found: list[Lattice] = []
     for part in parts:
         lattice = search.lattice(part)
@@ -184,6 +183,17 @@ class _Search:
         seen[members] = True
         values = np.array(list(place.values()), dtype=np.int64)
         return _Part(members, values[:, :2], values[:, 2])
+
+    def grown_apart(self, seeds: list[_Part]) -> list[_Part]:
+        """Grow seeds, the largest first, unless a grown part has reached them."""
+        used = np.zeros(len(self.saddles), dtype=bool)
+        parts = []
+        for seed in sorted(seeds, key=len, reverse=True):
+            part = seed if used[seed.saddles].any() else self.grown(seed)
+            if not used[part.saddles].all():
+                parts.append(part)
+            used[part.saddles] = True
+        return parts
 
     def grown(self, part: _Part) -> _Part:
         """Add saddles where the corners around predict one."""
@@ -269,30 +279,35 @@ class _Search:
         return np.where(shows, (ray - step) % 4, -1)
 
     def joined(self, parts: list[_Part]) -> list[_Part]:
-        """Join parts that the map of a larger one explains."""
+        """Join parts that the map of a larger one explains; of overlapping ones keep the larger."""
         parts = sorted(parts, key=len, reverse=True)
         done: list[_Part] = []
         while parts:
             first, *rest = parts
-            rest = [part for part in rest if not np.isin(part.saddles, first.saddles).any()]
-            parts = rest
-            if rest and len(first) >= _FEWEST_TO_PREDICT:
-                board_map = self._map(first)
-                for other in rest:
-                    both = self._join(first, other, board_map)
-                    if both is not None:
-                        # A larger part explains more: start again with it.
-                        parts = [self.grown(both), *(part for part in rest if part is not other)]
-                        break
-                else:
-                    done.append(first)
+            both = self._first_join(first, rest)
+            if both is not None:  # a larger part explains more: start again with it
+                joined, other = both
+                parts = [self.grown(joined), *(part for part in rest if part is not other)]
                 continue
             done.append(first)
+            parts = [part for part in rest if not np.isin(part.saddles, first.saddles).any()]
         return done
 
-    def _join(self, first: _Part, other: _Part, board_map: BoardMap) -> _Part | None:
+    def _first_join(self, first: _Part, rest: list[_Part]) -> tuple[_Part, _Part] | None:
+        if not rest or len(first) < _FEWEST_TO_PREDICT:
+            return None
+        where = _inverse(self._map(first), self.points, first.indices)
+        for other in rest:
+            both = self._join(first, other, where)
+            if both is not None:
+                return both, other
+        return None
+
+    def _join(self, first: _Part, other: _Part, all_where: FloatArray) -> _Part | None:
         fresh = ~np.isin(other.saddles, first.saddles)
-        where = _inverse(board_map, self.points[other.saddles], first.indices)
+        if not fresh.any():
+            return None
+        where = all_where[other.saddles]
         nearest = np.rint(where)
         if not (np.abs(where - nearest) < _JOINS).all():
             return None
@@ -301,7 +316,7 @@ class _Search:
         for quarter in range(4):
             turned = _quarter_turned(other.indices, quarter)
             shift = places - turned
-            if (shift == shift[0]).all() and not _share_places(first.indices, places[fresh]):
+            if (shift == shift[0]).all() and (_find_rows(first.indices, places[fresh]) < 0).all():
                 turn = (other.turn - quarter) % 4
                 if not self._same_colours(first, places, turn):
                     return None
@@ -371,10 +386,15 @@ class _Search:
         fits &= (cells.sum(axis=1) + turn) % 2 == parity
         others, cells, turn = others[fits], cells[fits], turn[fits]
         _, first = np.unique(cells, axis=0, return_index=True)
+        islands = _Part(others[first], cells[first], turn[first])
+        if not len(islands):
+            return part
+        # Far out a stray would bend the map, so it must look like a corner before it belongs.
+        islands = self._alternating(islands, board_map, like=part)
         return _Part(
-            np.concatenate([part.saddles, others[first]]),
-            np.concatenate([part.indices, cells[first]]),
-            np.concatenate([part.turn, turn[first]]),
+            np.concatenate([part.saddles, islands.saddles]),
+            np.concatenate([part.indices, islands.indices]),
+            np.concatenate([part.turn, islands.turn]),
         )
 
     def _filled(self, part: _Part, board_map: BoardMap) -> _Part:
@@ -430,21 +450,26 @@ class _Search:
         # Kinds of rays alternate along an edge: the turn differs by one from the neighbour's.
         return int(part.turn[neighbours[0]] + 1) % 4 if shows.all() else None
 
-    def _alternating(self, part: _Part, board_map: BoardMap) -> _Part:
+    def _alternating(self, part: _Part, board_map: BoardMap, like: _Part | None = None) -> _Part:
         """Keep corners whose four squares are black and white in turn, close to the corner.
 
         At the rim of the board and of a hand edges may meet as well, but not in four squares.
         """
+        step = self._steps(part, board_map)
+        usual = step if like is None else self._steps(like, board_map)
+        keep = step > _LEAST_STEP * np.median(usual)
+        return _Part(part.saddles[keep], part.indices[keep], part.turn[keep])
+
+    def _steps(self, part: _Part, board_map: BoardMap) -> FloatArray:
+        """Return by how much the darker white square at a corner outshines the brighter black."""
         away = _BESIDE_CORNER * board_map.jacobian(part.indices.astype(np.float64))
         points = self.points[part.saddles]
         places = points[:, None] + np.einsum("nij,qj->nqi", away, _QUADRANTS)
         levels = self.pyramid.sample(places, 0).astype(np.float64)
-        sign = np.where(part.turn % 2 == 0, 1.0, -1.0)  # of the square towards (+i, +j)
-        bright = np.where(sign[:, None] > 0, levels[:, [0, 2]], levels[:, [1, 3]])
-        dark = np.where(sign[:, None] > 0, levels[:, [1, 3]], levels[:, [0, 2]])
-        step = bright.min(axis=1) - dark.max(axis=1)
-        keep = step > _LEAST_STEP * np.median(step)
-        return _Part(part.saddles[keep], part.indices[keep], part.turn[keep])
+        white_first = (part.turn % 2 == 0)[:, None]  # the square towards (+i, +j)
+        white = np.where(white_first, levels[:, [0, 2]], levels[:, [1, 3]])
+        black = np.where(white_first, levels[:, [1, 3]], levels[:, [0, 2]])
+        return np.asarray(white.min(axis=1) - black.max(axis=1))
 
     def _map(self, part: _Part) -> BoardMap:
         return BoardMap.fit(
@@ -495,11 +520,6 @@ def _quarter_turned(indices: IntArray, quarters: int) -> IntArray:
     for _ in range(quarters):
         indices = np.stack([-indices[:, 1], indices[:, 0]], axis=1)
     return indices
-
-
-def _share_places(first: IntArray, others: IntArray) -> bool:
-    taken = {tuple(place) for place in first.tolist()}
-    return any(tuple(place) in taken for place in others.tolist())
 
 
 def _inverse(board_map: BoardMap, points: FloatArray, near: IntArray) -> FloatArray:

@@ -62,7 +62,8 @@ class PlaneFit:
 
     def project(self, lattice: FloatArray) -> FloatArray:
         """Map normalised lattice points (N, 2) to normalised pixels (N, 2)."""
-        return _seen(self.theta, lattice) + self.design(lattice) @ self.rest
+        seen = _seen(self.theta, lattice)
+        return seen + self.design(lattice) @ self.rest if self.rest.any() else seen
 
     def design(self, lattice: FloatArray) -> FloatArray:
         """Differentiate `project` by `rest`, (N, 2, P)."""
@@ -107,7 +108,9 @@ def fit_plane(
             break
     weighted = _reweighted(data, theta)
     best = _linear_fit(theta, weighted, 0)
-    for degree in _DEGREES if with_monomials else ():
+    if not with_monomials:  # the last step may as well move the lens
+        return replace(best, theta=theta + best.rest, rest=np.zeros(_N_LENS))
+    for degree in _DEGREES:
         n_terms = (degree + 1) * (degree + 2) // 2 - 3
         if picture.size < _RESIDUALS_PER_PARAMETER * (_N_LENS + 2 * n_terms):
             break
