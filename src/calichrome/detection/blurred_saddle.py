@@ -22,7 +22,6 @@ References
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import erf
 
 from calichrome.core.arrays import FloatArray, IntArray
 
@@ -36,6 +35,9 @@ _SLOPE = np.sqrt(2 / np.pi)  # d erf(h / sqrt 2) / dh at 0
 _FAR = 4.5
 """Standard deviations beyond which one edge no longer changes the other: erfc(4.5 / sqrt 2) is
 7e-6, a 500th of a step of an 8-bit picture."""
+
+_STEP_P = 0.3275911 * _SQRT_HALF
+_STEP_A = (1.061405429, -1.453152027, 1.421413741, -0.284496736, 0.254829592)
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 """Against the bivariate normal distribution five nodes are right to 1e-10 at rho = 0.5, 4e-6 at 0.9
@@ -133,8 +135,8 @@ def _blurred_saddle(
     h: FloatArray, k: FloatArray, rho: FloatArray, corner: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return S and its derivatives by h, k and rho, each (P,); rho is (N,), one per corner."""
-    erf_h, erf_k = erf(h * _SQRT_HALF), erf(k * _SQRT_HALF)
     bell_h, bell_k = np.exp(-0.5 * h * h), np.exp(-0.5 * k * k)
+    erf_h, erf_k = _step(h, bell_h), _step(k, bell_k)
     saddle = erf_h * erf_k
     s_h, s_k = _SLOPE * bell_h * np.sign(k), _SLOPE * bell_k * np.sign(h)
     s_rho = np.zeros_like(h)
@@ -143,8 +145,9 @@ def _blurred_saddle(
     near = np.flatnonzero((np.abs(h) < _FAR) & (np.abs(k) < _FAR))
     hn, kn, rn = h[near], k[near], rho[corner[near]]
     one = np.sqrt(1 - rn * rn)
-    s_h[near] = _SLOPE * bell_h[near] * erf((kn - rn * hn) / one * _SQRT_HALF)
-    s_k[near] = _SLOPE * bell_k[near] * erf((hn - rn * kn) / one * _SQRT_HALF)
+    for slope, bell, here, there in ((s_h, bell_h, hn, kn), (s_k, bell_k, kn, hn)):
+        across = (there - rn * here) / one
+        slope[near] = _SLOPE * bell[near] * _step(across, np.exp(-0.5 * across * across))
     squares, product = hn * hn + kn * kn, hn * kn
     s_rho[near] = (2 / np.pi) / one * np.exp((rn * product - 0.5 * squares) / (one * one))
     half = 0.5 * np.arcsin(rho)
@@ -154,3 +157,21 @@ def _blurred_saddle(
         density = np.exp((sine * product - 0.5 * squares) / cosine2)
         saddle[near] += (2 / np.pi * weight) * half[corner[near]] * density
     return saddle, s_h, s_k, s_rho
+
+
+def _step(h: FloatArray, bell: FloatArray) -> FloatArray:
+    """Return erf(h / sqrt 2), given exp(-h^2 / 2).
+
+    Right to 1.5e-7 and, with the exponential at hand, twice as fast as the library's.
+
+    References
+    ----------
+    .. [1] M. Abramowitz, I. A. Stegun, "Handbook of Mathematical Functions", 1964, 7.1.26.
+    """
+    t = 1 / (1 + _STEP_P * np.abs(h))
+    series = _STEP_A[0] * t
+    for coefficient in _STEP_A[1:]:
+        series += coefficient
+        series *= t
+    series *= bell
+    return np.asarray(np.copysign(1 - series, h))

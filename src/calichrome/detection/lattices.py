@@ -335,17 +335,17 @@ class _Search:
 
     def lattice(self, part: _Part) -> Lattice | None:
         """Return the corners of a part that one smooth map explains, None if too few are left."""
-        cleaned = self._without_strays(part)
+        cleaned, board_map = self._without_strays(part)
         if _FEWEST_CORNERS <= len(cleaned) < len(part):
             # A stray may have sat where a corner belongs.
-            cleaned = self._without_strays(self.grown(cleaned))
-        if len(cleaned) < _FEWEST_CORNERS:
+            cleaned, board_map = self._without_strays(self.grown(cleaned))
+        if len(cleaned) < _FEWEST_CORNERS or board_map is None:
             return None
-        board_map = self._map(cleaned)
         islands = self._with_islands(cleaned, board_map)
         if len(islands) > len(cleaned):
-            cleaned = self._without_strays(self.grown(islands))
-            board_map = self._map(cleaned)
+            cleaned, board_map = self._without_strays(self.grown(islands))
+            if board_map is None:
+                return None
         part = self._alternating(self._filled(cleaned, board_map), board_map)
         extent = np.ptp(part.indices, axis=0) + 1 if len(part) else np.zeros(2)
         if len(part) < _FEWEST_CORNERS or extent.min() < _SMALLEST_SIDE:
@@ -479,8 +479,11 @@ class _Search:
             lens_only=True,
         )
 
-    def _without_strays(self, part: _Part) -> _Part:
-        """Drop corners off the map of the others, the farthest first: it bends the map most."""
+    def _without_strays(self, part: _Part) -> tuple[_Part, BoardMap | None]:
+        """Drop corners off the map of the others, the farthest first: it bends the map most.
+
+        Returns the part and its map, None if too few are left for one.
+        """
         while len(part) >= _FEWEST_CORNERS:
             lattice = part.indices.astype(np.float64)
             board_map = self._map(part)
@@ -488,10 +491,10 @@ class _Search:
             side = np.abs(np.linalg.det(board_map.jacobian(lattice))) ** 0.5
             excess = off / np.maximum(_OFF_MAP * side, _OFF_MAP_PX)
             if excess.max() <= 1:
-                break
+                return part, board_map
             keep = excess < max(1.0, _FARTHEST_FIRST * excess.max())
             part = _Part(part.saddles[keep], part.indices[keep], part.turn[keep])
-        return part
+        return part, None
 
 
 def _next_on_line(p0: FloatArray, p1: FloatArray, p2: FloatArray) -> FloatArray:

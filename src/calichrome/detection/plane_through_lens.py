@@ -29,7 +29,7 @@ _PRIOR_CENTRE = 0.1
 _DEGREES = (2, 3, 4)  # of the monomials, if there are any; 1 is the homography's
 _RESIDUALS_PER_PARAMETER = 2  # at least, for monomials; fewer would follow the noise
 _PLAIN_STEPS = 6
-_ROBUST_STEPS = 3
+_ROBUST_ROUNDS = 2
 _LEAST_GAIN = 1e-3  # of the cost; what is left to gain moves no point by 0.05 sigma
 _SHARES = (1.0, 0.3, 0.1, 0.03)  # of a step, tried in turn
 _LEAST_NOISE = 1e-3  # px, where nothing is known and nothing is left
@@ -97,24 +97,20 @@ def fit_plane(
     """
     data = _Points(lattice, picture, whitening, known_noise)
     theta = np.concatenate([fit_homography(lattice, picture).ravel()[:8], np.zeros(4)])
-    for _ in range(_PLAIN_STEPS):
-        theta, gain = _improved(theta, data)
-        if gain < _LEAST_GAIN:
-            break
+    theta = _descended(theta, data, _PLAIN_STEPS)
     # Outliers show only now that the lens is known.
-    for _ in range(_ROBUST_STEPS):
-        theta, gain = _improved(theta, _reweighted(data, theta))
-        if gain < _LEAST_GAIN:
-            break
+    for _ in range(_ROBUST_ROUNDS):
+        theta = _descended(theta, _reweighted(data, theta), 1)
     weighted = _reweighted(data, theta)
-    best = _linear_fit(theta, weighted, 0)
+    best = _linear_fit(theta, weighted.residuals(theta), weighted, 0)
     if not with_monomials:  # the last step may as well move the lens
         return replace(best, theta=theta + best.rest, rest=np.zeros(_N_LENS))
+    residuals = weighted.residuals(theta)
     for degree in _DEGREES:
         n_terms = (degree + 1) * (degree + 2) // 2 - 3
         if picture.size < _RESIDUALS_PER_PARAMETER * (_N_LENS + 2 * n_terms):
             break
-        fit = _linear_fit(theta, weighted, n_terms)
+        fit = _linear_fit(theta, residuals, weighted, n_terms)
         if _criterion(fit, weighted) < _criterion(best, weighted):
             best = fit
     return best
@@ -201,8 +197,8 @@ def _precision(n_parameters: int, residuals: FloatArray, data: _Points) -> Float
     return precision
 
 
-def _linear_fit(theta: FloatArray, data: _Points, n_terms: int) -> PlaneFit:
-    residuals = data.residuals(theta).ravel()
+def _linear_fit(theta: FloatArray, residuals: FloatArray, data: _Points, n_terms: int) -> PlaneFit:
+    residuals = residuals.ravel()
     design = data.whitening @ _design(theta, data.lattice, n_terms)
     jacobian = design.reshape(residuals.size, -1)
     precision = _precision(jacobian.shape[1], residuals, data)
@@ -224,22 +220,25 @@ def _linear_fit(theta: FloatArray, data: _Points, n_terms: int) -> PlaneFit:
     )
 
 
-def _improved(theta: FloatArray, data: _Points) -> tuple[FloatArray, float]:
-    """Go a Gauss-Newton step of the lens, or the part of it that lowers the cost.
-
-    Returns the lens and by which share the cost has fallen.
-    """
-    precision = _precision(_N_LENS, data.residuals(theta), data)
-
-    def cost(at: FloatArray) -> float:
-        return float((data.residuals(at) ** 2).sum() + precision @ at**2)
-
-    now, step = cost(theta), _linear_fit(theta, data, 0).rest
-    for share in _SHARES:
-        lower = cost(theta + share * step)
-        if lower < now:
-            return np.asarray(theta + share * step), 1 - lower / now
-    return theta, 0.0
+def _descended(theta: FloatArray, data: _Points, most_steps: int) -> FloatArray:
+    """Go Gauss-Newton steps of the lens, or the parts of them that lower the cost."""
+    residuals = data.residuals(theta)
+    for _ in range(most_steps):
+        precision = _precision(_N_LENS, residuals, data)
+        cost = float((residuals**2).sum() + precision @ theta**2)
+        step = _linear_fit(theta, residuals, data, 0).rest
+        for share in _SHARES:
+            there = theta + share * step
+            left = data.residuals(there)
+            lower = float((left**2).sum() + precision @ there**2)
+            if lower < cost:
+                break
+        else:
+            break
+        theta, residuals = there, left
+        if lower > (1 - _LEAST_GAIN) * cost:
+            break
+    return theta
 
 
 def _criterion(fit: PlaneFit, data: _Points) -> float:

@@ -90,6 +90,8 @@ class Image:
         if values.dtype == np.float32:
             return self._tones(values, top)
         table = self._tones(np.arange(np.iinfo(values.dtype).max + 1, dtype=np.float32), top)
+        if values.dtype == np.uint8:
+            return np.asarray(cv2.LUT(values, table))
         return np.asarray(table[values])
 
     def _tones(self, values: NDArray[np.float32], top: float) -> NDArray[np.float32]:
