@@ -37,6 +37,8 @@ corners are off by up to 0.45 px, what the rim of a hand makes of an edge by 1.5
 _ISLANDS = 3  # squares beyond a part that its map is trusted to
 _ISLAND_TURN = np.deg2rad(20)
 _OFF_ISLAND = 0.1  # of a square; once it belongs to them, its place must fit like any other
+_BOARD = 20  # corners that are a board, not clutter
+_NEWTON_STEPS = 5  # to a hundredth of a square from three squares away, at a tilt of 60 degrees
 _FARTHEST_FIRST = 0.5  # of the largest excess: corners beyond go at once, nearer ones later
 _FEWEST_TO_PREDICT = 12  # corners whose map may be believed beyond a gap
 _JOINS = 0.2  # of a square: parts join where the map of one meets the corners of the other
@@ -185,11 +187,15 @@ class _Search:
         return _Part(members, values[:, :2], values[:, 2])
 
     def grown_apart(self, seeds: list[_Part]) -> list[_Part]:
-        """Grow seeds, the largest first, unless a grown part has reached them."""
+        """Grow seeds, the largest first, unless a grown part has reached them.
+
+        Beside a board the smallest are clutter, or pieces of it that need no growing to join.
+        """
         used = np.zeros(len(self.saddles), dtype=bool)
-        parts = []
+        parts: list[_Part] = []
         for seed in sorted(seeds, key=len, reverse=True):
-            part = seed if used[seed.saddles].any() else self.grown(seed)
+            beside = bool(parts) and len(parts[0]) >= _BOARD and len(seed) < _FEWEST_CORNERS
+            part = seed if beside or used[seed.saddles].any() else self.grown(seed)
             if not used[part.saddles].all():
                 parts.append(part)
             used[part.saddles] = True
@@ -296,7 +302,9 @@ class _Search:
     def _first_join(self, first: _Part, rest: list[_Part]) -> tuple[_Part, _Part] | None:
         if not rest or len(first) < _FEWEST_TO_PREDICT:
             return None
-        where = _inverse(self._map(first), self.points, first.indices)
+        theirs = np.unique(np.concatenate([other.saddles for other in rest]))
+        where = np.full((len(self.points), 2), np.nan)
+        where[theirs] = _inverse(self._map(first), self.points[theirs], first.indices)
         for other in rest:
             both = self._join(first, other, where)
             if both is not None:
@@ -335,6 +343,8 @@ class _Search:
 
     def lattice(self, part: _Part) -> Lattice | None:
         """Return the corners of a part that one smooth map explains, None if too few are left."""
+        if not _is_large(part):
+            return None
         cleaned, board_map = self._without_strays(part)
         if _FEWEST_CORNERS <= len(cleaned) < len(part):
             # A stray may have sat where a corner belongs.
@@ -347,8 +357,7 @@ class _Search:
             if board_map is None:
                 return None
         part = self._alternating(self._filled(cleaned, board_map), board_map)
-        extent = np.ptp(part.indices, axis=0) + 1 if len(part) else np.zeros(2)
-        if len(part) < _FEWEST_CORNERS or extent.min() < _SMALLEST_SIDE:
+        if not _is_large(part):
             return None
         origin = part.indices.min(axis=0)
         indices = part.indices - origin
@@ -497,6 +506,14 @@ class _Search:
         return part, None
 
 
+def _is_large(part: _Part) -> bool:
+    """Tell whether a part may be returned: less than that, textures show as well."""
+    return (
+        len(part) >= _FEWEST_CORNERS
+        and int(np.ptp(part.indices, axis=0).min()) + 1 >= _SMALLEST_SIDE
+    )
+
+
 def _next_on_line(p0: FloatArray, p1: FloatArray, p2: FloatArray) -> FloatArray:
     """Continue equal steps on lines seen in perspective, points (..., 2).
 
@@ -530,7 +547,7 @@ def _inverse(board_map: BoardMap, points: FloatArray, near: IntArray) -> FloatAr
     mapped = board_map(near.astype(np.float64))
     _, nearest = cKDTree(mapped).query(points)
     at = near[nearest].astype(np.float64)
-    for _ in range(8):
+    for _ in range(_NEWTON_STEPS):
         off = points - board_map(at)
         step = np.linalg.solve(board_map.jacobian(at), off[..., None])[..., 0]
         at = at + np.clip(step, -2, 2)

@@ -33,7 +33,7 @@ __all__ = ["RefinedCorners", "refine_corners"]
 
 _N_ALONE = 7  # parameters that a corner determines alone: position, angles, blur, two levels
 _FIRST_BLUR_PX = 1.1  # where the fit of the blur starts
-_FIRST_STEPS = 2  # with each choice of pixels
+_FIRST_STEPS = (2, 1)  # with each choice of pixels
 _FIRST_REACH = 0.22  # of a square: clear of discs of up to 0.7
 _FIRST_REACH_PX = (3.0, 13.0)  # at least, to hold enough pixels; at most, where light may change
 _BAND_SIGMAS = 3.0
@@ -280,13 +280,13 @@ def _fit_alone(
     reach_px = np.clip(_FIRST_REACH * square, *_FIRST_REACH_PX)
     reach = np.minimum(reach_px / square, 0.5)
     moves = np.zeros((len(parameters), N_PARAMETERS))
-    for _ in range(2):  # once more when position and blur are known better
+    for n_steps in _FIRST_STEPS:  # pixels are chosen again when position and blur are known better
         blur = float(np.exp(np.median(parameters.values[:, 4])))
         pixels = pixels_along_edges(
             parameters.positions_px, edges, reach, _BAND_SIGMAS * blur, size_wh
         )
         seen = levels(pixels.column, pixels.row)
-        for _ in range(_FIRST_STEPS):
+        for _ in range(n_steps):
             equations = _normal_equations(parameters, pixels, seen, _N_ALONE)
             steps = _solved(equations.normal, equations.right)
             steps = np.clip(steps, -_STEP_LIMITS, _STEP_LIMITS)
