@@ -15,6 +15,7 @@ _WIDEST_EDGE_PX = 8.0
 """From 10 to 90 % of an edge. Boards with squares of 20 px are found up to a blur of sigma 4 px,
 which makes edges of 10 px; smaller squares vanish earlier."""
 _SCALES_PX = (1.0, 4.0)
+_DIFFERENCE = 1 / 3  # px^2: a central difference averages the slope over two pixels
 _STEEPEST = 0.999  # share of pixels that are less steep than an edge
 _WIDTH_OF_SIGMA = 2.563  # 10 to 90 % of a Gaussian step, in sigmas
 
@@ -60,5 +61,5 @@ def edge_width_px(tones: NDArray[np.float32]) -> float:
     fine, coarse = (scale**2 for scale in _SCALES_PX)
     if ratio <= 1.0:
         return float("inf")
-    variance = max((coarse - ratio * fine) / (ratio - 1), 0.0)
+    variance = max((coarse - ratio * fine) / (ratio - 1) - _DIFFERENCE, 0.0)
     return _WIDTH_OF_SIGMA * float(np.sqrt(variance))
