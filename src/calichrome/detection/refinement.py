@@ -202,7 +202,7 @@ def refine_corners(
     levels, parameters = readings[reading], alone[reading].parameters
     alone_cov, noise = alone[reading].cov_px, alone[reading].noise
 
-    good = np.isfinite(alone_cov).all(axis=(1, 2))
+    good = _are_covariances(alone_cov)
     good &= np.linalg.norm(parameters.positions_px - start_px, axis=1) < _FARTHEST_MOVE_PX
     if good.sum() < 4:
         return _nothing_fitted(start_px, board_map(lattice))
@@ -217,7 +217,7 @@ def refine_corners(
     )
     parameters, cov_px, n_pixels = _fit_cells(levels, parameters, pixels, precision, noise)
     fitted = good & (n_pixels >= _MIN_PIXELS)
-    fitted &= np.linalg.eigvalsh(cov_px)[:, 1] < _LARGEST_SIGMA_PX**2
+    fitted &= _are_covariances(cov_px)
     fitted &= np.linalg.norm(parameters.positions_px - start_px, axis=1) < _FARTHEST_MOVE_PX
     if fitted.sum() < 4:
         return _nothing_fitted(start_px, board_map(lattice))
@@ -388,6 +388,13 @@ def _normal_equations(
         residuals=residuals,
         brightness=brightness,
     )
+
+
+def _are_covariances(cov_px: FloatArray) -> BoolArray:
+    """Tell which matrices (N, 2, 2) are positive and small enough to say something."""
+    finite = np.asarray(np.isfinite(cov_px).all(axis=(1, 2)))
+    values = np.linalg.eigvalsh(np.where(finite[:, None, None], cov_px, 0))
+    return np.asarray((values[:, 0] > 0) & (values[:, 1] < _LARGEST_SIGMA_PX**2))
 
 
 def _scaled(normal: FloatArray) -> tuple[FloatArray, FloatArray]:
