@@ -27,6 +27,7 @@ _MIN_SPACING_PX = 6.0
 corner."""
 
 _BY_FAR = 2.0  # times the other's squares
+_SPARSE = 2  # corners of a row that may be none
 
 
 def detect_board(image: Image, target: Target) -> BoardView | NotFound:
@@ -88,9 +89,9 @@ def _place(image: Image, tones: NDArray[np.float32], target: Target) -> _Placed 
         return why_no_board(image, tones, target)
     placed: list[_Placed] = []
     reason = ""
-    for lattice in lattices:
-        indices = lattice.indices.astype(np.float64)
-        to_pixels = lattice.board_map
+    for found in lattices:
+        lattice = _without_rim(found, target)
+        indices, to_pixels = lattice.indices.astype(np.float64), lattice.board_map
         spacing = float(np.median(np.linalg.norm(to_pixels.jacobian(indices), axis=1)))
         if spacing < _MIN_SPACING_PX:
             small = f"squares of {spacing:.0f} px are too small to measure; bring the board nearer"
@@ -102,6 +103,22 @@ def _place(image: Image, tones: NDArray[np.float32], target: Target) -> _Placed 
         else:
             placed.append(_Placed(lattice, placement, spacing))
     return _only_one(placed) if placed else reason
+
+
+def _without_rim(lattice: Lattice, target: Target) -> Lattice:
+    """Drop rows of one or two corners at the rim of a lattice that is larger than the target.
+
+    What a hand or the surroundings make of the rim of the board now and then looks like a corner.
+    """
+    most = np.sort(target.corners_xy)
+    while (np.sort(lattice.indices.max(axis=0) + 1) > most).any():
+        extent = lattice.indices.max(axis=0)
+        rims = [lattice.indices[:, axis] == end for axis in (0, 1) for end in (0, extent[axis])]
+        sparse = min(rims, key=np.count_nonzero)
+        if np.count_nonzero(sparse) > _SPARSE:
+            break
+        lattice = lattice.only(~sparse)
+    return lattice
 
 
 def _only_one(placed: list[_Placed]) -> _Placed | str:

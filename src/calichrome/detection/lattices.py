@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from calichrome.core.arrays import FloatArray, IntArray
+from calichrome.core.arrays import BoolArray, FloatArray, IntArray
 from calichrome.detection.board_map import BoardMap
 from calichrome.detection.growth import SMALL, STEPS, Growth, Part, find_rows
 from calichrome.detection.pyramid import Plane, build_pyramid
@@ -22,7 +22,7 @@ _SMALLEST_SIDE = 3  # corners
 _OFF_MAP, _OFF_MAP_PX = 0.03, 0.8
 """Of a square, and at least: farther from the map of the others a corner is not one of them. True
 corners are off by up to 0.45 px, what the rim of a hand makes of an edge by 1.5 to 3.5 px."""
-_ISLANDS = 3  # squares beyond a part that its map is trusted to
+_ISLANDS = 1  # squares beyond a part; farther out the map fits clutter by chance
 _ISLAND_TURN = np.deg2rad(20)
 _OFF_ISLAND = 0.1  # of a square; once it belongs to them, its place must fit like any other
 _NEWTON_STEPS = 5  # to a hundredth of a square from three squares away, at a tilt of 60 degrees
@@ -60,6 +60,16 @@ class Lattice:
 
     def __len__(self) -> int:
         return len(self.indices)
+
+    def only(self, chosen: BoolArray) -> "Lattice":
+        """Return the chosen corners, numbered from (0, 0) again."""
+        origin = self.indices[chosen].min(axis=0)
+        return Lattice(
+            indices=self.indices[chosen] - origin,
+            corners_px=self.corners_px[chosen],
+            black_parity=(self.black_parity + int(origin.sum())) % 2,
+            board_map=replace(self.board_map, origin=self.board_map.origin - origin),
+        )
 
 
 def find_lattices(grey: Plane) -> list[Lattice]:

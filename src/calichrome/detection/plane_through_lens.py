@@ -103,8 +103,9 @@ def fit_plane(
         theta = _descended(theta, _reweighted(data, theta), 1)
     weighted = _reweighted(data, theta)
     best = _linear_fit(theta, weighted.residuals(theta), weighted, 0)
-    if not with_monomials:  # the last step may as well move the lens
-        return replace(best, theta=theta + best.rest, rest=np.zeros(_N_LENS))
+    if not with_monomials:
+        squares = float((weighted.residuals(theta) ** 2).sum())
+        return replace(best, rest=np.zeros(_N_LENS), squares=squares)
     residuals = weighted.residuals(theta)
     for degree in _DEGREES:
         n_terms = (degree + 1) * (degree + 2) // 2 - 3
