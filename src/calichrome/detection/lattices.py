@@ -195,7 +195,14 @@ class _Search:
         """Add saddles that no edge joins, between fingers, if place and directions fit the map."""
         if len(part) < _FEWEST_TO_PREDICT:
             return part
-        others = np.setdiff1d(np.arange(len(self.saddles)), part.saddles)
+        own = self.points[part.saddles]
+        margin = 2 * np.abs(board_map.jacobian(part.indices.astype(np.float64))).max()
+        around = (
+            (self.points > own.min(axis=0) - margin) & (self.points < own.max(axis=0) + margin)
+        ).all(axis=1)
+        others = np.setdiff1d(np.flatnonzero(around[: len(self.saddles)]), part.saddles)
+        if not len(others):
+            return part
         where = _inverse(board_map, self.points[others], part.indices)
         cells = np.rint(where).astype(np.int64)
         low, high = part.indices.min(axis=0) - _ISLANDS, part.indices.max(axis=0) + _ISLANDS

@@ -35,7 +35,7 @@ _N_ALONE = 7  # parameters that a corner determines alone: position, angles, blu
 _FIRST_BLUR_PX = 1.1  # where the fit of the blur starts
 _FIRST_STEPS = (2, 1)  # with each choice of pixels
 _FIRST_REACH = 0.22  # of a square: clear of discs of up to 0.7
-_FIRST_REACH_PX = (3.0, 13.0)  # at least, to hold enough pixels; at most, where light may change
+_FIRST_REACH_PX = (3.0, 10.0)  # at least, to hold enough pixels; at most, where light may change
 _BAND_SIGMAS = 2.5
 """Half-width of the strip along an edge that is fitted: 98.8 % of the edge's change lie within. On
 40 random scenes 3.0 gave the same errors from a fifth more pixels."""

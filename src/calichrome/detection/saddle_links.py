@@ -18,11 +18,11 @@ __all__ = ["NO_NEIGHBOUR", "Links", "edge_shows", "link_saddles", "ray_angles"]
 
 NO_NEIGHBOUR = -1
 
-_NEAREST = 24
+_NEAREST = 16
 """Saddles that are tried as neighbours: the four and those of clutter, of discs and of text."""
 _LARGEST_TURN = np.deg2rad(32)
-"""Between a saddle's ray and its neighbour. Blur draws acute edges apart: 44 degrees look like 80, so
-each seems turned by 18; noise and lens add to it."""
+"""Between a saddle's ray and its neighbour. Blur draws acute edges apart: 44 degrees look like 80,
+so each seems turned by 18; noise and lens add to it."""
 _PLACES = np.array([0.2, 0.35, 0.5, 0.65, 0.8])  # along an edge, where its two sides are compared
 _ASIDE = 0.1  # of the edge's length: clear of discs of up to 0.7 of a square seen head on
 _ASIDE_PX = 1.6  # at least, beyond the blur of the level
