@@ -20,7 +20,8 @@ class DiscSamples:
     centres_px : (M, 2) float
     mean_rgb, median_rgb : (M, 3) float
     cov_rgb : (M, 3, 3) float
-        Covariance of one pixel about the mean; divide by `n_px` for the mean's own.
+        Covariance of one pixel about the mean times the pixels that repeat one measurement (as
+        demosaicing makes them); divide by `n_px` for the mean's own.
     n_px : (M,) int
         Pixels in the region grown from the seed.
     clipped : (M,) float

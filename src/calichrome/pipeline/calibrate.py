@@ -331,7 +331,7 @@ def _measure_again(
             discs = None
             if isinstance(image, Image) and image.is_colour:
                 to_pixels = _projection(solved.cameras[camera].lens, poses[frame])
-                discs = measure_discs(image, target, to_pixels)
+                discs = measure_discs(image, target, to_pixels, view.corner_ids)
             measured[camera][frame] = replace(view, discs=discs)
             done += 1
     progress("measuring colours", done, n_views)
