@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calichrome.core.arrays import FloatArray
-from calichrome.core.homography import apply_homography, fit_homography, homographies_of_cells
+from calichrome.core.homography import apply_homography, fit_homography
 
 
 def _homography(rng: np.random.Generator) -> FloatArray:
@@ -43,35 +43,3 @@ def test_units_do_not_matter(rng: np.random.Generator) -> None:
 def test_points_that_cannot_do_are_refused(n_source: int, n_target: int) -> None:
     with pytest.raises(ValueError, match="4 or more matching points"):
         fit_homography(np.zeros((n_source, 2)), np.zeros((n_target, 2)))
-
-
-def test_cells_take_the_unit_square_to_their_points(rng: np.random.Generator) -> None:
-    homography = _homography(rng)
-    x, y = np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 5))
-    grid = apply_homography(homography, np.stack([x, y], axis=-1))
-    bent = grid + rng.normal(0, 1, grid.shape)  # cells that no common homography explains
-    cells = homographies_of_cells(bent)
-    assert cells.shape == (4, 6, 3, 3)
-    for iy in range(4):
-        for ix in range(6):
-            unit = np.array([[0.0, 0], [1, 0], [0, 1], [1, 1]])
-            expected = [bent[iy, ix], bent[iy, ix + 1], bent[iy + 1, ix], bent[iy + 1, ix + 1]]
-            mapped = apply_homography(cells[iy, ix], unit)
-            np.testing.assert_allclose(mapped, expected, atol=1e-8)  # px, of 2000
-
-
-def test_cells_of_a_plane_agree_with_the_plane(rng: np.random.Generator) -> None:
-    """Inside, not only at the corners: the middle of a square is not the mean of its corners."""
-    homography = _homography(rng)
-    x, y = np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 5))
-    nodes = np.stack([x, y], axis=-1)
-    cells = homographies_of_cells(apply_homography(homography, nodes))
-    inside = rng.uniform(0, 1, (10, 2))
-    for iy in range(4):
-        for ix in range(6):
-            on_plane = nodes[iy, ix] + inside * (nodes[iy + 1, ix + 1] - nodes[iy, ix])
-            np.testing.assert_allclose(
-                apply_homography(cells[iy, ix], inside),
-                apply_homography(homography, on_plane),
-                atol=1e-7,
-            )

@@ -4,7 +4,7 @@ import numpy as np
 
 from calichrome.core.arrays import FloatArray
 
-__all__ = ["apply_homography", "fit_homography", "homographies_of_cells"]
+__all__ = ["apply_homography", "fit_homography"]
 
 
 def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
@@ -48,36 +48,6 @@ def apply_homography(homography: FloatArray, points: FloatArray) -> FloatArray:
     """Map points of shape (..., 2)."""
     mapped = points @ homography[:, :2].T + homography[:, 2]
     return np.asarray(mapped[..., :2] / mapped[..., 2:])
-
-
-def homographies_of_cells(grid: FloatArray) -> FloatArray:
-    """Map the unit square to each cell of a grid of points.
-
-    Parameters
-    ----------
-    grid : (ny, nx, 2) float
-        Points; cell [iy, ix] lies between the points [iy, ix] and [iy + 1, ix + 1].
-
-    Returns
-    -------
-    (ny - 1, nx - 1, 3, 3) float
-        (0, 0), (1, 0), (0, 1), (1, 1) go to the four points of the cell, x before y.
-
-    References
-    ----------
-    .. [1] P. S. Heckbert, "Fundamentals of Texture Mapping and Image Warping", Master's thesis,
-       UC Berkeley, 1989, section 2.2.3 (unit square to quadrilateral).
-    """
-    p00, p10, p01, p11 = grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]
-    across, down, bulge = p10 - p11, p01 - p11, p00 - p10 + p11 - p01
-    determinant = across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0]
-    g = (bulge[..., 0] * down[..., 1] - bulge[..., 1] * down[..., 0]) / determinant
-    h = (across[..., 0] * bulge[..., 1] - across[..., 1] * bulge[..., 0]) / determinant
-    column_x = p10 - p00 + g[..., None] * p10
-    column_y = p01 - p00 + h[..., None] * p01
-    upper = np.stack([column_x, column_y, p00], axis=-1)
-    lower = np.stack([g, h, np.ones_like(g)], axis=-1)
-    return np.concatenate([upper, lower[..., None, :]], axis=-2)
 
 
 def _normaliser(points: FloatArray) -> FloatArray:

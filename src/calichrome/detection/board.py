@@ -11,8 +11,8 @@ from calichrome.detection.board_map import BoardMap
 from calichrome.detection.corner_pixels import Discs
 from calichrome.detection.discs import BoardToPixels, measure_discs
 from calichrome.detection.fiducials import detect_coded_board
+from calichrome.detection.grid import Lattice, find_lattices
 from calichrome.detection.identity import Placement, identify
-from calichrome.detection.lattices import Lattice, find_lattices
 from calichrome.detection.levels import best_mix, readings_of
 from calichrome.detection.reasons import why_no_board
 from calichrome.detection.refinement import RefinedCorners, refine_corners
@@ -113,7 +113,10 @@ def _without_rim(lattice: Lattice, target: Target) -> Lattice:
     most = np.sort(target.corners_xy)
     while (np.sort(lattice.indices.max(axis=0) + 1) > most).any():
         extent = lattice.indices.max(axis=0)
-        rims = [lattice.indices[:, axis] == end for axis in (0, 1) for end in (0, extent[axis])]
+        too_long = np.flatnonzero(extent >= most[1])
+        if not len(too_long):  # either may be the long side
+            too_long = np.flatnonzero(extent >= most[0])
+        rims = [lattice.indices[:, axis] == end for axis in too_long for end in (0, extent[axis])]
         sparse = min(rims, key=np.count_nonzero)
         if np.count_nonzero(sparse) > _SPARSE:
             break

@@ -64,7 +64,7 @@ class Discs:
         rows, columns = np.indices(self.radius.shape[:2])
         centres = np.asarray(np.stack([columns, rows], axis=-1) - 0.5, dtype=np.float64)
         to_disc = np.linalg.inv(board_map.jacobian(centres))
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             to_disc /= self.radius[..., None]
         return DiscsInPicture(board_map(centres), np.asarray(to_disc), self.radius[..., 0] > 0)
 

@@ -11,7 +11,6 @@ import numpy as np
 from scipy import ndimage
 
 from calichrome.core.arrays import BoolArray, FloatArray, IntArray
-from calichrome.core.homography import homographies_of_cells
 from calichrome.detection.pixels import NEARLY_FULL, linear_light
 from calichrome.detection.square_levels import (
     SquareLevels,
@@ -23,7 +22,7 @@ from calichrome.imaging import Image, Pixels
 from calichrome.observations import DiscSamples
 from calichrome.target import Target
 
-__all__ = ["BoardToPixels", "local_homographies", "measure_discs"]
+__all__ = ["BoardToPixels", "measure_discs"]
 
 BoardToPixels = Callable[[FloatArray], FloatArray]
 """Board points (N, 3) in metres to pixels (N, 2)."""
@@ -60,36 +59,6 @@ _UNKNOWN_REPETITION = 4.0
 in four pixels."""
 
 
-def local_homographies(grid_px: FloatArray, square_m: tuple[float, float]) -> BoardToPixels:
-    """Return the map board -> pixels that follows each square's own four corners.
-
-    Parameters
-    ----------
-    grid_px : (ny, nx, 2) float
-        All inner corners, pixels.
-    square_m
-        Size of a square, metres.
-
-    Notes
-    -----
-    Squares of the outer ring continue their inner neighbour. A local plane-to-plane map takes up
-    lens distortion to second order over one square, without knowing the lens.
-    """
-    homographies = homographies_of_cells(grid_px)
-    limit_y, limit_x = homographies.shape[0] - 1, homographies.shape[1] - 1
-
-    def to_pixels(points_board: FloatArray) -> FloatArray:
-        squares = points_board[:, :2] / square_m
-        cell_x = np.clip(np.floor(squares[:, 0]).astype(int), 0, limit_x)
-        cell_y = np.clip(np.floor(squares[:, 1]).astype(int), 0, limit_y)
-        inside = squares - np.stack([cell_x, cell_y], axis=1)
-        homogeneous = np.concatenate([inside, np.ones((len(inside), 1))], axis=1)
-        mapped = np.einsum("nij,nj->ni", homographies[cell_y, cell_x], homogeneous)
-        return np.asarray(mapped[:, :2] / mapped[:, 2:])
-
-    return to_pixels
-
-
 def measure_discs(
     image: Image,
     target: Target,
@@ -105,7 +74,7 @@ def measure_discs(
     target
         The board.
     to_pixels
-        Where board points are in the picture: `local_homographies`, or pose and lens once known.
+        Where board points are in the picture: by a `BoardMap`, or by pose and lens once known.
     corner_ids : (N,) int, optional
         Inner corners that were found; without them the whole board is taken to be in view. Squares
         that lack corners although these should be in the picture are taken to be hidden.

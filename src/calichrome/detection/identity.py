@@ -139,7 +139,7 @@ def identify(
         nx, ny = target.corners_xy
         return f"saw {seen} inner corners, expected {nx}x{ny}: count them and correct --target"
     candidates = candidate_placements(lattice, target)
-    whole = sorted(extent.tolist()) == sorted(target.corners_xy)
+    whole = sorted(extent.tolist()) == sorted(target.corners_xy) and _rims_show(lattice.indices)
     looks = None
     if target.markers:
         looks = look_at_squares(image, lattice, to_pixels, _smallest_radius(target))
@@ -299,7 +299,7 @@ def _judge(
     )
 
 
-def _identify_whole(
+def _identify_whole(  # noqa: PLR0911 (one return for each thing that may be said)
     candidates: Candidates,
     looks: SquareLooks | None,
     lattice: CornerLattice,
@@ -326,10 +326,26 @@ def _identify_whole(
             )
     if not len(right):
         return no_order_fits(target)
+    if len(right) > 1 and (target.markers or len(lattice.indices) < target.n_corners):
+        return (
+            f"nothing tells which way up the board is ({len(lattice.indices)} of "
+            f"{target.n_corners} corners show); one that looks the same after half a turn must be "
+            f"seen whole, one with discs in colour"
+        )
     # Of equal orders take the one that stands most upright: it reads like the printed sheet.
     upright = max(right, key=lambda at: _x_rightwards(int(at), candidates, lattice, to_pixels))
     ids = candidates.corner_ids(int(upright), lattice, target)
     return Placement(ids, half_turn_ambiguous=len(right) > 1)
+
+
+def _rims_show(indices: IntArray) -> bool:
+    """Tell whether the outer rows of a lattice are rows, not single points beside a cut board."""
+    last = indices.max(axis=0)
+    return all(
+        2 * np.count_nonzero(indices[:, axis] == end) > last[1 - axis]
+        for axis in (0, 1)
+        for end in (0, last[axis])
+    )
 
 
 def _x_rightwards(

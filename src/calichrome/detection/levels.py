@@ -11,7 +11,7 @@ import numpy as np
 
 from calichrome.core.arrays import BoolArray, FloatArray, IntArray
 from calichrome.detection.board_map import EdgeBend
-from calichrome.detection.pixels import linear_light, nearest_pixels
+from calichrome.detection.pixels import NEARLY_FULL, linear_light, nearest_pixels
 from calichrome.imaging import Image
 
 __all__ = ["Levels", "best_mix", "readings_of"]
@@ -22,7 +22,6 @@ Levels = Callable[[IntArray, IntArray], FloatArray]
 
 _OFF_CORNER = 0.2  # squares along both edges: inside the square, clear of discs of up to 0.7
 _MAX_CLIPPED = 0.05  # share of white samples at full scale above which a channel is left out
-_NEARLY_FULL = 0.995  # of full scale: 254 of 255
 
 
 def best_mix(image: Image, corners_px: FloatArray, edges: EdgeBend, white: BoolArray) -> FloatArray:
@@ -47,7 +46,7 @@ def best_mix(image: Image, corners_px: FloatArray, edges: EdgeBend, white: BoolA
     bright, dark = light[is_white & inside], light[~is_white & inside]
     if not len(bright) or not len(dark):
         return np.full(3, 1 / 3)
-    clipped = (numbers[is_white & inside] >= _NEARLY_FULL * image.full_scale).mean(axis=0)
+    clipped = (numbers[is_white & inside] >= NEARLY_FULL * image.full_scale).mean(axis=0)
     contrast = np.median(bright, axis=0) - np.median(dark, axis=0)
     weights = np.where(clipped <= _MAX_CLIPPED, np.maximum(contrast, 0), 0)
     if weights.sum() <= 0:  # clipped everywhere: the least of all evils

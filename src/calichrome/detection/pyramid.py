@@ -45,16 +45,27 @@ class Pyramid:
         Pixels of the picture per pixel of level 0, a whole number.
     noise
         Standard deviation of the noise of the reduced picture, DN, before it was blurred.
+    size_hw
+        Of the picture.
     """
 
     planes: tuple[Plane, ...]
     reduction: int
     noise: float
+    size_hw: tuple[int, int]
 
-    def sample(self, points_px: FloatArray, level: IntArray | int) -> Plane:
-        """Sample points (N, ..., 2) of the picture, on one level or each row on its own (N,)."""
-        if isinstance(level, int):
-            return self.sample_level(points_px, level)
+    def pitch(self, level: IntArray) -> FloatArray:
+        """Return the size of a pixel of each level (N,) in pixels of the picture."""
+        return np.asarray(2.0**level * self.reduction)
+
+    def holds(self, points_px: FloatArray) -> NDArray[np.bool_]:
+        """Tell which points (N, 2) lie in the picture, clear of its border."""
+        height, width = self.size_hw
+        inside = (points_px > 2) & (points_px < np.array([width - 3, height - 3]))
+        return np.asarray(inside.all(axis=1))
+
+    def sample(self, points_px: FloatArray, level: IntArray) -> Plane:
+        """Sample points (N, ..., 2) of the picture, each row on its own level (N,)."""
         out = np.empty(points_px.shape[:-1], np.float32)
         for one in np.unique(level).tolist():
             chosen = level == one
@@ -86,6 +97,7 @@ def build_pyramid(grey: Plane) -> Pyramid:
     """Reduce and blur a grey picture (H, W)."""
     height, width = grey.shape
     reduction = int(np.ceil(np.sqrt(height * width / _SEARCH_PIXELS)))
+    reduction = min(reduction, height, width)
     reduced = grey
     if reduction > 1:
         size_wh = width // reduction, height // reduction
@@ -95,19 +107,17 @@ def build_pyramid(grey: Plane) -> Pyramid:
     while len(planes) < _N_LEVELS and min(planes[-1].shape) >= 2 * _SMALLEST_SIDE_PX:
         half = np.ascontiguousarray(planes[-1][::2, ::2])
         planes.append(cv2.GaussianBlur(half, _KERNEL, _BLUR_PX))
-    return Pyramid(tuple(planes), reduction, estimate_noise(reduced))
+    return Pyramid(tuple(planes), reduction, estimate_noise(reduced), (height, width))
 
 
 def estimate_noise(grey: Plane) -> float:
-    """Return the standard deviation of the noise of a picture (H, W); 0 under 3x3 pixels.
+    """Return the standard deviation of the noise of a picture (H, W), H and W at least 3.
 
     References
     ----------
     .. [1] J. Immerkaer, "Fast Noise Variance Estimation", Computer Vision and Image Understanding
        64 (2), 1996 (the kernel; a quantile here, the mean there).
     """
-    if min(grey.shape) < 3:
-        return 0.0
     rows = grey[: grey.shape[0] // 3 * 3].reshape(-1, 3, grey.shape[1])[::5]
     across = rows[:, :, :-2] - 2 * rows[:, :, 1:-1] + rows[:, :, 2:]
     laplacian = np.abs(across[:, 0] - 2 * across[:, 1] + across[:, 2])[:, ::3]

@@ -52,6 +52,10 @@ _FARTHEST_MOVE_PX = 2.5
 _LARGEST_SIGMA_PX = 0.5  # beyond, a corner was found better than it can be fitted
 _START_SIGMA_PX = 0.1  # of a corner that was found and not fitted, at least
 _MAP_GATE = 12.0  # mean squared misfit to the map, in units of the board's own
+_LEAST_DISAGREEMENT = 0.1
+"""Rounding and rendered pictures without noise leave less; the least on noisy ones was 0.15
+(rendered mosaics). Below, one clean view would outweigh all others."""
+_MODEL_SIGMA_PX = 3e-4  # what the model itself is off by where there is no noise
 _FEWEST_TO_JUDGE = 20  # degrees of freedom that a statement about the whole board needs
 
 
@@ -204,7 +208,7 @@ def refine_corners(
 
     good = _are_covariances(alone_cov)
     good &= np.linalg.norm(parameters.positions_px - start_px, axis=1) < _FARTHEST_MOVE_PX
-    if good.sum() < 4:
+    if not _span_a_plane(lattice[good]):
         return _nothing_fitted(start_px, board_map(lattice))
     board_map = BoardMap.fit(lattice[good], parameters.positions_px[good], size_wh, alone_cov[good])
     edges = board_map.edges(lattice)
@@ -219,7 +223,7 @@ def refine_corners(
     fitted = good & (n_pixels >= _MIN_PIXELS)
     fitted &= _are_covariances(cov_px)
     fitted &= np.linalg.norm(parameters.positions_px - start_px, axis=1) < _FARTHEST_MOVE_PX
-    if fitted.sum() < 4:
+    if not _span_a_plane(lattice[fitted]):
         return _nothing_fitted(start_px, board_map(lattice))
     fine = RefinedCorners(
         corners_px=parameters.positions_px,
@@ -344,6 +348,7 @@ def _fit_cells(
         variance = equations.variance(equations.squares_after(steps))
     steps[:, :_N_ALONE] = np.clip(steps[:, :_N_ALONE], -_STEP_LIMITS, _STEP_LIMITS)
     cov_px = _inverse(equations.normal / variance + precision)[:, :2, :2]
+    cov_px = cov_px + _MODEL_SIGMA_PX**2 * np.eye(2)
     return parameters.moved(steps), cov_px, equations.n_pixels
 
 
@@ -390,6 +395,11 @@ def _normal_equations(
     )
 
 
+def _span_a_plane(lattice: FloatArray) -> bool:
+    """Tell whether corners (N, 2) determine a map: four or more, not on one line."""
+    return len(lattice) >= 4 and int(np.linalg.matrix_rank(lattice - lattice.mean(axis=0))) == 2
+
+
 def _are_covariances(cov_px: FloatArray) -> BoolArray:
     """Tell which matrices (N, 2, 2) are positive and small enough to say something."""
     finite = np.asarray(np.isfinite(cov_px).all(axis=(1, 2)))
@@ -423,7 +433,7 @@ def _judged(
     mapped = board_map(lattice)
     if board_map.n_free < _FEWEST_TO_JUDGE:
         return _with_doubtful(fine, fitted, start_px, mapped)
-    disagreement = board_map.misfit
+    disagreement = max(board_map.misfit, _LEAST_DISAGREEMENT)
     misfit = (fine.corners_px - mapped)[..., None]
     weighted = np.linalg.solve(np.where(fitted[:, None, None], cov_px, np.eye(2)), misfit)
     size = (misfit * weighted).sum(axis=(1, 2)) / 2

@@ -8,7 +8,8 @@ import pytest
 
 from calichrome.core.arrays import FloatArray, IntArray
 from calichrome.detection import detect_board
-from calichrome.detection.discs import local_homographies, measure_discs
+from calichrome.detection.board_map import BoardMap
+from calichrome.detection.discs import measure_discs
 from calichrome.imaging import Image
 from calichrome.observations import BoardView, DiscSamples
 from calichrome.synthetic import Renderer, Scene, SceneCamera, random_scene, truth_of
@@ -107,9 +108,11 @@ def _covered(image: Image, centre_px: FloatArray, radius_px: float, rgb: FloatAr
 def _measured(
     image: Image, target: Target, corners_px: FloatArray, corner_ids: IntArray | None = None
 ) -> DiscSamples:
-    nx, ny = target.corners_xy
-    to_pixels = local_homographies(corners_px.reshape(ny, nx, 2), target.square_m)
-    return measure_discs(image, target, to_pixels, corner_ids)
+    lattice = target.corners_board[:, :2] / target.square_m
+    board_map = BoardMap.fit(lattice, corners_px, image.size_wh)
+    return measure_discs(
+        image, target, lambda points: board_map(points[:, :2] / target.square_m), corner_ids
+    )
 
 
 def test_discs_of_hidden_squares_are_absent(render: Rendered, standard_target: Target) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calichrome.core.arrays import FloatArray
 from calichrome.core.homography import apply_homography
-from calichrome.detection.lattices import Lattice, find_lattices
+from calichrome.detection.grid import Lattice, find_lattices
 
 Picture = NDArray[np.float32]
 Warp = Callable[[FloatArray], FloatArray]
