@@ -162,7 +162,7 @@ def _print_table(
         of_name = outcomes.get((kind, name))
         if of_name:
             print(f"| {name} | {' | '.join(_row(of_name))} |")
-        elif name in DETECTORS and not DETECTORS[name].own_board:
+        elif name in DETECTORS and (kind == "disc" or not DETECTORS[name].own_board):
             print(f"| {name} | not run |" + " |" * 9)
 
 

@@ -109,6 +109,43 @@ def test_board_that_is_cut_off(render: Rendered, side: str) -> None:
     assert "7x6" in found.reason
 
 
+def _covered(image: Image, places_px: FloatArray, radius_px: float) -> Image:
+    y, x = np.mgrid[: image.size_wh[1], : image.size_wh[0]]
+    distance = np.hypot(x[..., None] - places_px[:, 0], y[..., None] - places_px[:, 1])
+    hidden = (distance < radius_px).any(axis=-1)[..., None]
+    return replace(image, pixels=np.where(hidden, np.float32(0.2), image.pixels))
+
+
+def test_hidden_corners_are_left_out(render: Rendered) -> None:
+    image, true_px, _ = render(_PLAIN)
+    found = detect_board(_covered(image, true_px[[9, 24]], 16), _PLAIN)
+    assert isinstance(found, BoardView), found
+    assert set(range(42)) - set(found.corner_ids.tolist()) == {9, 24}
+    np.testing.assert_allclose(found.corners_px, true_px[found.corner_ids], atol=0.1)
+
+
+def test_symmetric_board_with_a_hidden_corner_is_refused(render: Rendered) -> None:
+    """Half a turn would renumber corners that are not there."""
+    target = chessboard((7, 5), (0.03, 0.03))
+    image, true_px, _ = render(target)
+    found = detect_board(_covered(image, true_px[[10]], 16), target)
+    assert isinstance(found, NotFound)
+    assert "which way up" in found.reason
+
+
+def test_part_of_a_board_is_told_by_its_colours(render: Rendered, standard_target: Target) -> None:
+    image, true_px, _ = render(standard_target)
+    x = int(true_px[:, 0].mean())
+    half = replace(image, pixels=np.ascontiguousarray(image.pixels[:, x:]))
+    found = detect_board(half, standard_target)
+    assert isinstance(found, BoardView), found
+    assert 20 < len(found.corner_ids) < 60
+    seen_px = found.corners_px + np.array([x, 0])
+    np.testing.assert_allclose(seen_px, true_px[found.corner_ids], atol=0.05)
+    assert found.discs is not None
+    assert len(found.discs) > 8
+
+
 def test_simulated_pictures(simulated: Path, standard_target: Target) -> None:
     """Noise, mosaic and JPEG; small tilted squares, where OpenCV's corners are 2 px off."""
     truth = read_truth(simulated / "truth.json")
