@@ -111,13 +111,15 @@ def build_pyramid(grey: Plane) -> Pyramid:
 
 
 def estimate_noise(grey: Plane) -> float:
-    """Return the standard deviation of the noise of a picture (H, W), H and W at least 3.
+    """Return the standard deviation of the noise of a picture (H, W); 0 under 3x3 pixels.
 
     References
     ----------
     .. [1] J. Immerkaer, "Fast Noise Variance Estimation", Computer Vision and Image Understanding
        64 (2), 1996 (the kernel; a quantile here, the mean there).
     """
+    if min(grey.shape) < 3:
+        return 0.0
     rows = grey[: grey.shape[0] // 3 * 3].reshape(-1, 3, grey.shape[1])[::5]
     across = rows[:, :, :-2] - 2 * rows[:, :, 1:-1] + rows[:, :, 2:]
     laplacian = np.abs(across[:, 0] - 2 * across[:, 1] + across[:, 2])[:, ::3]

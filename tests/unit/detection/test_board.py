@@ -197,3 +197,10 @@ def test_grey_pictures_have_no_discs(render: Rendered, standard_target: Target) 
     assert _rms_px(found, true_px) < 0.05
     assert isinstance(found, BoardView)
     assert found.discs is None
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 9), (9, 2), (12, 30)])
+def test_tiny_pictures_show_no_board(shape: tuple[int, int], rng: np.random.Generator) -> None:
+    pixels = rng.integers(0, 255, (*shape, 3), dtype=np.uint8)
+    found = detect_board(Image(pixels=pixels, encoding="srgb", bits=8), _PLAIN)
+    assert isinstance(found, NotFound)
