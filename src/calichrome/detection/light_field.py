@@ -9,7 +9,8 @@ __all__ = ["light_gradients"]
 _FEWEST_FOR_QUADRATIC = 12
 _FEWEST_FOR_PLANE = 5
 _STEEPEST = 0.1
-"""Sigma of the change over one square, as a share of the level, where too few corners tell it."""
+"""Sigma of the change over one square, as a share of the level, where too few corners tell it:
+wide enough to leave the gradient to the corner's own pixels; not set on data."""
 
 
 def light_gradients(lattice: FloatArray, levels: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -40,12 +40,14 @@ _REACH = 0.8
 
 MOST_UNEVEN = 0.2
 """Spread of the ground around a disc, of the step from black to white, above which something lies
-on it. Noise of 5 of 255 levels gives 0.04; the rim of a hand 0.3 and more."""
+on it. A choice by
+reasoning, not set on data: noise of 5 of 255 levels is 0.03 of a step of 170, an edge across the
+ground up to one half."""
 
 MOST_OFF_BLACK, MOST_OFF_WHITE = 0.12, 0.35
-"""Distance of a ground from the level of others nearby, of the same step. Skin reflects a third of
-the light: on a black square 0.1 to 0.3, on a white one 0.6 and more in its own shadow. Shadows and
-gradients change white within two squares by more than they change black."""
+"""Distance of a ground from the level of others nearby, of the same step. A choice by
+reasoning, not set on data: skin reflects about a third of the light; shadows and gradients change
+white within two squares by more than they change black."""
 
 _FEWEST_SAMPLES = 3  # of the ground: a square cut by the border of the picture shows fewer of them
 

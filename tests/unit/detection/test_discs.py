@@ -182,7 +182,7 @@ def test_covariance_of_the_mean(
 ) -> None:
     """Squared errors of means, in units of the variance that is reported, average to one.
 
-    Demosaiced pixels repeat each other: taken as independent they would average to 2 to 5.
+    Demosaiced pixels repeat each other, so they may not be taken as independent.
     """
     scene = random_scene(standard_target, 1, 1, (960, 720), seed=4, mosaic=mosaic)
     camera = scene.cameras[0]
