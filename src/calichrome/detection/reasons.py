@@ -12,8 +12,8 @@ __all__ = ["why_no_board"]
 _MOST_CLIPPED = 0.2  # of the picture
 _LEAST_CONTRAST = 40.0  # of 255 levels, between the darkest and the brightest hundredth
 _WIDEST_EDGE_PX = 8.0
-"""From 10 to 90 % of an edge. On rendered boards squares of 12 px were found at edges of 6 px and lost
-at 7, squares of 20 and 30 px were found beyond 12: wider edges may be why a board is not seen."""
+"""From 10 to 90 % of an edge. On rendered boards squares of 12 px were found at edges of 6 px and
+lost at 7, squares of 20 and 30 px were found beyond 12: wider edges may hide a board."""
 _SCALES_PX = (1.0, 4.0)
 _DIFFERENCE = 1 / 3  # px^2: a central difference averages the slope over two pixels
 _STEEPEST = 0.999  # share of pixels that are less steep than an edge

@@ -17,9 +17,16 @@ from calichrome.core.arrays import BoolArray, FloatArray, IntArray
 from calichrome.detection.blurred_saddle import (
     N_PARAMETERS,
     SaddleParameters,
-    saddle_and_derivatives,
 )
 from calichrome.detection.board_map import BoardMap, EdgeBend
+from calichrome.detection.corner_equations import (
+    MIN_PIXELS,
+    N_ALONE,
+    NoiseOfLevels,
+    inverse,
+    normal_equations,
+    solved,
+)
 from calichrome.detection.corner_pixels import (
     CornerPixels,
     Discs,
@@ -31,7 +38,6 @@ from calichrome.detection.light_field import light_gradients
 
 __all__ = ["RefinedCorners", "refine_corners"]
 
-_N_ALONE = 7  # parameters that a corner determines alone: position, angles, blur, two levels
 _FIRST_BLUR_PX = 1.1  # where the fit of the blur starts
 _FIRST_STEPS = (2, 1)  # with each choice of pixels
 _FIRST_REACH = 0.22  # of a square: clear of discs of up to 0.7
@@ -40,14 +46,6 @@ _BAND_SIGMAS = 2.5
 """Half-width of the strip along an edge that is fitted: 98.8 % of the edge's change lie within. On
 40 random scenes 3.0 gave the same errors from a fifth more pixels."""
 _STEP_LIMITS = np.array([1.5, 1.5, 0.2, 0.2, 0.4, np.inf, np.inf])  # px, px, rad, rad, log px
-_OUTLIER_SIGMAS = 5.0
-_OUTLIER_LEVEL = 8 / 255  # what the model may be wrong by, beyond noise
-_PIXELS_AT_ONCE = 4000
-_FLAT = 0.8  # of the way from edge to white: 1.3 sigma of the blur beside an edge
-_FEWEST_PIXELS_OF_LEVEL = 100
-_LEAST_SHARE = 0.3  # of the largest noise: clipped white has none, and must not outweigh all else
-_LEAST_NOISE = 1e-4  # of full scale, so that pictures without noise have weights too
-_MIN_PIXELS = 14  # twice the parameters that a corner determines alone
 _FARTHEST_MOVE_PX = 2.5
 _LARGEST_SIGMA_PX = 0.5  # beyond, a corner was found better than it can be fitted
 _START_SIGMA_PX = 0.1  # of a corner that was found and not fitted, at least
@@ -56,8 +54,8 @@ _LEAST_DISAGREEMENT = 0.1
 """Rounding and rendered pictures without noise leave less; the least on noisy ones was 0.15
 (rendered mosaics). Below, one clean view would outweigh all others."""
 _MODEL_SIGMA_PX = 3e-4
-"""A floor. Without noise the fit was off by 4 to 5e-4 px RMS per coordinate on boards sampled 16 times
-per pixel (four phases), an unknown part of which is the sampling's."""
+"""A floor. Without noise the fit was off by 4 to 5e-4 px RMS per coordinate on boards sampled 16
+times per pixel (four phases), an unknown part of which is the sampling's."""
 _FEWEST_TO_JUDGE = 20  # degrees of freedom that a statement about the whole board needs
 
 
@@ -93,73 +91,12 @@ class RefinedCorners:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _NoiseOfLevels:
-    """Standard deviation (3,) of pixels that are black, half way and white, levels 0..1.
-
-    Light is noisier than darkness, above all where an encoding was removed; half way lie the
-    edges, which print and lens blur as they like.
-    """
-
-    sigma: FloatArray
-
-    @classmethod
-    def of(cls, residuals: FloatArray, brightness: FloatArray) -> "_NoiseOfLevels":
-        """Estimate from residuals (P,) at brightness (P,), -1 black to 1 white."""
-        group = np.digitize(brightness, [-_FLAT, _FLAT])
-        every = _robust_sigma(residuals)
-        sigma = [
-            _robust_sigma(residuals[group == index])
-            if np.count_nonzero(group == index) >= _FEWEST_PIXELS_OF_LEVEL
-            else every
-            for index in range(3)
-        ]
-        return cls(np.maximum(sigma, max(_LEAST_SHARE * max(sigma), _LEAST_NOISE)))
-
-    def weights(self, residuals: FloatArray, brightness: FloatArray) -> FloatArray:
-        """Return 1 / sigma (P,), 0 for outliers."""
-        sigma = np.interp(brightness, [-1, 0, 1], self.sigma)
-        return (np.abs(residuals) <= _OUTLIER_SIGMAS * sigma + _OUTLIER_LEVEL) / sigma
-
-
-def _robust_sigma(residuals: FloatArray) -> float:
-    return 1.4826 * float(np.median(np.abs(residuals))) if len(residuals) else 0.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Equations:
-    """J'J (N, n, n), J'r (N, n), r'r (N,) and how many pixels count (N,).
-
-    `residuals` and `brightness` (P,) are those of the pixels, not weighted.
-    """
-
-    normal: FloatArray
-    right: FloatArray
-    squares: FloatArray
-    n_pixels: IntArray
-    residuals: FloatArray
-    brightness: FloatArray
-
-    def squares_after(self, steps: FloatArray) -> FloatArray:
-        """Sum of squared residuals after steps (N, n), of the linearised model."""
-        gain = 2 * (steps * self.right).sum(axis=1)
-        bent = (self.normal @ steps[..., None])[..., 0]
-        return np.asarray(self.squares - gain + (steps * bent).sum(axis=1))
-
-    def variance(self, squares: FloatArray) -> float:
-        """Return the variance of the residuals of the median corner."""
-        told = self.n_pixels > _MIN_PIXELS
-        if not told.any():
-            return _OUTLIER_LEVEL**2
-        return float(np.median(squares[told] / (self.n_pixels[told] - _N_ALONE)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Alone:
     """What corners say each for itself; `cov_px` (N, 2, 2) is nan where they say nothing."""
 
     parameters: SaddleParameters
     cov_px: FloatArray
-    noise: _NoiseOfLevels
+    noise: NoiseOfLevels
 
     @property
     def edge_misfit(self) -> float:
@@ -222,7 +159,7 @@ def refine_corners(
         pixels, parameters.positions_px, edges, indices, discs.on(board_map), blur
     )
     parameters, cov_px, n_pixels = _fit_cells(levels, parameters, pixels, precision, noise)
-    fitted = good & (n_pixels >= _MIN_PIXELS)
+    fitted = good & (n_pixels >= MIN_PIXELS)
     fitted &= _are_covariances(cov_px)
     fitted &= np.linalg.norm(parameters.positions_px - start_px, axis=1) < _FARTHEST_MOVE_PX
     if not _span_a_plane(lattice[fitted]):
@@ -294,15 +231,15 @@ def _fit_alone(
         )
         seen = levels(pixels.column, pixels.row)
         for _ in range(n_steps):
-            equations = _normal_equations(parameters, pixels, seen, _N_ALONE)
-            steps = _solved(equations.normal, equations.right)
+            equations = normal_equations(parameters, pixels, seen, N_ALONE)
+            steps = solved(equations.normal, equations.right)
             steps = np.clip(steps, -_STEP_LIMITS, _STEP_LIMITS)
-            moves[:, :_N_ALONE] = steps
+            moves[:, :N_ALONE] = steps
             parameters = parameters.moved(moves)
     variance = equations.variance(equations.squares_after(steps))
-    cov_px = _inverse(equations.normal)[:, :2, :2] * variance
-    cov_px[equations.n_pixels < _MIN_PIXELS] = np.nan
-    noise = _NoiseOfLevels.of(equations.residuals, equations.brightness)
+    cov_px = inverse(equations.normal)[:, :2, :2] * variance
+    cov_px[equations.n_pixels < MIN_PIXELS] = np.nan
+    noise = NoiseOfLevels.of(equations.residuals, equations.brightness)
     return _Alone(parameters, cov_px, noise)
 
 
@@ -338,63 +275,20 @@ def _fit_cells(
     parameters: SaddleParameters,
     pixels: CornerPixels,
     precision: FloatArray,
-    noise: _NoiseOfLevels,
+    noise: NoiseOfLevels,
 ) -> tuple[SaddleParameters, FloatArray, IntArray]:
     """Fit all parameters of every corner in its whole cell, one step from the first pass."""
     seen = levels(pixels.column, pixels.row)
-    equations = _normal_equations(parameters, pixels, seen, N_PARAMETERS, noise)
+    equations = normal_equations(parameters, pixels, seen, N_PARAMETERS, noise)
     variance = 1.0
     for _ in range(2):  # the second time with the residuals of the first
         information = equations.normal / variance + precision
-        steps = _solved(information, equations.right / variance)
+        steps = solved(information, equations.right / variance)
         variance = equations.variance(equations.squares_after(steps))
-    steps[:, :_N_ALONE] = np.clip(steps[:, :_N_ALONE], -_STEP_LIMITS, _STEP_LIMITS)
-    cov_px = _inverse(equations.normal / variance + precision)[:, :2, :2]
+    steps[:, :N_ALONE] = np.clip(steps[:, :N_ALONE], -_STEP_LIMITS, _STEP_LIMITS)
+    cov_px = inverse(equations.normal / variance + precision)[:, :2, :2]
     cov_px = cov_px + _MODEL_SIGMA_PX**2 * np.eye(2)
     return parameters.moved(steps), cov_px, equations.n_pixels
-
-
-def _normal_equations(
-    parameters: SaddleParameters,
-    pixels: CornerPixels,
-    seen: FloatArray,
-    n_free: int,
-    noise: _NoiseOfLevels | None = None,
-) -> _Equations:
-    """Linearise the model at the pixels, weighted by their noise if that is known."""
-    count = len(parameters)
-    ranges = pixels.ranges(count)
-    products = np.empty((count, n_free + 1, n_free + 1))
-    n_pixels = np.zeros(count, dtype=np.int64)
-    residuals, brightness = np.empty(len(pixels)), np.empty(len(pixels))
-    sign = np.sign(parameters.values[:, 6])
-    # A few corners at a time, so that the arrays stay in the processor's cache.
-    groups = np.searchsorted(ranges, np.arange(0, len(pixels), _PIXELS_AT_ONCE))
-    first = 0
-    for last in np.unique(np.concatenate([groups, [count]])):
-        span = slice(ranges[first], ranges[last])
-        corner = pixels.corner[span]
-        predicted, derivatives = saddle_and_derivatives(
-            parameters, corner, pixels.points[span], n_free
-        )
-        residuals[span] = seen[span] - predicted
-        brightness[span] = derivatives[6] * sign[corner]  # dI / db is the saddle, -1..1
-        stacked = np.concatenate([derivatives, residuals[None, span]])
-        if noise is not None:
-            stacked *= noise.weights(residuals[span], brightness[span])
-        for index in range(first, last):
-            own = stacked[:, ranges[index] - span.start : ranges[index + 1] - span.start]
-            np.matmul(own, own.T, out=products[index])
-            n_pixels[index] = np.count_nonzero(own[5])  # dI / da is 1 where a pixel counts
-        first = last
-    return _Equations(
-        normal=products[:, :n_free, :n_free],
-        right=products[:, :n_free, n_free],
-        squares=products[:, n_free, n_free],
-        n_pixels=n_pixels,
-        residuals=residuals,
-        brightness=brightness,
-    )
 
 
 def _span_a_plane(lattice: FloatArray) -> bool:
@@ -407,23 +301,6 @@ def _are_covariances(cov_px: FloatArray) -> BoolArray:
     finite = np.asarray(np.isfinite(cov_px).all(axis=(1, 2)))
     values = np.linalg.eigvalsh(np.where(finite[:, None, None], cov_px, 0))
     return np.asarray((values[:, 0] > 0) & (values[:, 1] < _LARGEST_SIGMA_PX**2))
-
-
-def _scaled(normal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Scale to a unit diagonal, with a trace of damping for corners without pixels."""
-    scale = 1 / np.sqrt(np.maximum(np.einsum("nii->ni", normal), 1e-12))
-    scaled = normal * scale[:, :, None] * scale[:, None, :]
-    return scaled + 1e-10 * np.eye(normal.shape[1]), scale
-
-
-def _solved(normal: FloatArray, right: FloatArray) -> FloatArray:
-    scaled, scale = _scaled(normal)
-    return np.asarray(np.linalg.solve(scaled, (right * scale)[..., None])[..., 0] * scale)
-
-
-def _inverse(normal: FloatArray) -> FloatArray:
-    scaled, scale = _scaled(normal)
-    return np.asarray(np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None, :])
 
 
 def _judged(
