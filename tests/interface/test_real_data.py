@@ -4,15 +4,25 @@ import csv
 import json
 import subprocess
 import sys
+import tomllib
 from collections import defaultdict
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.geometry.real_rows import Pair, row_differences_px
+from benchmarks.geometry.real_sets import RECORDINGS, RealSet, Recorded
+from scipy.spatial.transform import Rotation
 
 from calichrome.core.arrays import FloatArray
+from calichrome.core.pose import Pose
+from calichrome.geometry.halves import compare_halves
+from calichrome.geometry.rig_solution import RigSolution
+from calichrome.geometry.rig_solve import RigSettings, solve_rig
+from calichrome.observations import Dataset
 
 Cli = Callable[..., Any]
 Calibrate = Callable[..., dict[str, Any]]
@@ -26,9 +36,10 @@ def render_truth(data: Path) -> dict[str, Any]:
     return truth
 
 
-def test_opencv_stereo(cli: Cli, data: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("method", "rms_px"), [("joint", 0.215), ("pairwise", 0.20)])
+def test_opencv_stereo(cli: Cli, data: Path, tmp_path: Path, method: str, rms_px: float) -> None:
     """The published result of this recording (OpenCV's samples, after J.-Y. Bouguet)."""
-    words = ["--target", "chessboard:9x6:30mm", "--method", "pairwise", "--json"]
+    words = ["--target", "chessboard:9x6:30mm", "--method", method, "--json"]
     words += [*_LEFT_RIGHT, "--reference-camera", "left", "-o", str(tmp_path / "rig.json")]
     outcome = cli("calibrate", data / "opencv_stereo", *words)
     assert (outcome.code, outcome.err) == (0, "")
@@ -39,11 +50,87 @@ def test_opencv_stereo(cli: Cli, data: Path, tmp_path: Path) -> None:
     left, right = rig["cameras"]["left"], rig["cameras"]["right"]
     assert left["lens"]["fx"] == pytest.approx(533.09, abs=1)
     assert left["lens"]["fy"] == pytest.approx(533.22, abs=1)
-    assert left["rms_px"] <= 0.20
+    assert left["rms_px"] <= rms_px
     found_mm = np.array(right["cam_from_ref"]["translation_m"]) * 1e3
     # published -99.80, 1.12, 0.05 mm with its own uncertainty of 0.14, 0.11, 0.50 mm
     np.testing.assert_array_less(np.abs(found_mm - [-99.80, 1.12, 0.05]), [0.14, 0.11, 0.50])
     assert right["cam_from_ref"]["sigma_m"][0] > 0.4e-3  # 0.5 % of 99.8 mm: scale unverified
+
+
+def _recorded(item: RealSet, data: Path, cache: Path) -> Recorded:
+    recorded = item.read(data, cache)
+    assert recorded is not None
+    return recorded
+
+
+def _solve(recorded: Recorded, dataset: Dataset, start: RigSolution | None = None) -> RigSolution:
+    settings = RigSettings(reference=recorded.reference, start=start)
+    return solve_rig(dataset, recorded.target, settings)
+
+
+@pytest.mark.parametrize(
+    ("name", "limit_px"), [("opencv_stereo", 0.18), ("boofcv_bumblebee2_chess", 0.06)]
+)
+def test_rows_of_unseen_frames_agree(name: str, limit_px: float, data: Path, cache: Path) -> None:
+    """OpenCV's joint fit leaves 0.178 and 0.057 px; benchmarks.geometry.real runs it as well."""
+    recorded = _recorded(RECORDINGS[name], data, cache)
+    whole = _solve(recorded, recorded.dataset)  # where to begin: the minimum does not depend on it
+
+    def calibrate(dataset: Dataset) -> Pair:
+        solved = _solve(recorded, dataset, whole)
+        return solved.lenses["left"], solved.lenses["right"], solved.cams_from_ref["right"]
+
+    rows_px = row_differences_px(recorded, "left", "right", calibrate)
+    corners = recorded.target.n_corners * len(recorded.dataset.frames)
+    assert np.isfinite(rows_px).sum() == corners
+    assert np.sqrt(np.mean(rows_px**2)) <= limit_px
+
+
+def test_halves_of_the_trinocular_frames_agree(data: Path, cache: Path) -> None:
+    recorded = _recorded(RECORDINGS["boofcv_trinocular_odd"], data, cache)
+    whole = _solve(recorded, recorded.dataset)
+    halves = compare_halves(recorded.dataset, partial(_solve, recorded, start=whole))
+    assert halves is not None
+    for camera in ("left", "right"):
+        sigmas = halves.position_sigmas(camera)
+        assert sigmas is not None
+        np.testing.assert_array_less(np.abs(sigmas), 3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["joint", "pairwise"])
+def test_caliscope_against_its_own_rig(cli: Cli, data: Path, tmp_path: Path, method: str) -> None:
+    """Four cameras around a moving board, not recorded at one instant: exit code 3 says so.
+
+    The lenses of `camera_array.toml` are from other recordings, so the principal points differ by
+    some 20 px of 760, and with them the directions of both cameras of a pair by 2 degrees.
+    """
+    folder = data / "caliscope_charuco_4cam"
+    target = "charuco:4x5:4X4_1000:54mm:40.5mm:inverted"
+    words = ["--target", target, "--method", method, "--reference-camera", "cam_0", "--json"]
+    outcome = cli("calibrate", folder, *words, "-o", tmp_path / "rig.json")
+    assert outcome.code == 3
+    assert "unsynchronised" in {item["code"] for item in outcome.json["findings"]}
+    known = tomllib.loads((folder / "camera_array.toml").read_text())["cameras"]
+    places = {
+        f"cam_{key}": Pose(np.array(item["rotation"]), np.array(item["translation"]))
+        for key, item in known.items()
+    }
+    for key, item in known.items():
+        found = outcome.json["cameras"][f"cam_{key}"]
+        assert found["lens"]["fx"] == pytest.approx(item["matrix"][0][0], rel=0.03)
+        assert found["rms_px"] < item["error"]
+        expected = places[f"cam_{key}"] @ places["cam_0"].inverse()
+        place = found["cam_from_ref"]
+        turn = Rotation.from_matrix(np.array(place["rotation"]) @ expected.rotation.T)
+        assert np.degrees(turn.magnitude()) < 5
+        apart = _position(Pose(np.array(place["rotation"]), np.array(place["translation_m"])))
+        distance_m = np.linalg.norm(_position(expected))
+        assert np.linalg.norm(apart - _position(expected)) <= 0.05 * distance_m
+
+
+def _position(cam_from_ref: Pose) -> FloatArray:
+    return np.asarray(cam_from_ref.inverse().trans_m)
 
 
 def test_bumblebee(cli: Cli, data: Path, tmp_path: Path) -> None:
@@ -64,7 +151,8 @@ def test_trinocular(cli: Cli, data: Path, tmp_path: Path) -> None:
     assert (outcome.code, outcome.err) == (0, "")
     rig = outcome.json
     assert set(rig["cameras"]) == {"left", "middle", "right"}
-    assert all(camera["rms_px"] <= 0.13 for camera in rig["cameras"].values())
+    # a joint fit of OpenCV's classic corners with cornerSubPix: .119 .112 .117
+    assert all(camera["held_out_rms_px"] <= 0.120 for camera in rig["cameras"].values())
     everything = {path.stem.removeprefix("left") for path in (folder / "left").iterdir()}
     for name in rig["cameras"]:
         seen = {frame for frame, placed in rig["frames"].items() if name in placed["cameras"]}

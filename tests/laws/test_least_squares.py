@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 
 from calichrome.core.arrays import FloatArray
-from calichrome.core.least_squares import covariance_from_jacobian, levenberg_marquardt
+from calichrome.core.least_squares import (
+    DenseEquations,
+    covariance_from_jacobian,
+    levenberg_marquardt,
+)
 
 
 def _add(state: FloatArray, step: FloatArray) -> FloatArray:
     return state + step
 
 
-def _linear(matrix: FloatArray, side: FloatArray, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return matrix @ x - side, matrix
+def _linear(matrix: FloatArray, side: FloatArray, x: FloatArray) -> DenseEquations:
+    return DenseEquations(matrix @ x - side, matrix)
 
 
 @pytest.mark.parametrize("units", [1.0, 1e4])
@@ -31,9 +35,9 @@ def test_linear_problems_end_at_the_closed_form(units: float, rng: np.random.Gen
         assert result.stop_reason in {"cost", "step"}
 
 
-def _rosenbrock(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _rosenbrock(x: FloatArray) -> DenseEquations:
     residuals = np.array([10 * (x[1] - x[0] ** 2), 1 - x[0]])
-    return residuals, np.array([[-20 * x[0], 10.0], [-1.0, 0.0]])
+    return DenseEquations(residuals, np.array([[-20 * x[0], 10.0], [-1.0, 0.0]]))
 
 
 @pytest.mark.parametrize("start", [(-1.2, 1.0), (5.0, -7.0), (0.0, 0.0)])
@@ -48,12 +52,12 @@ def test_minimum_of_rosenbrock(start: tuple[float, float]) -> None:
 def test_reports_when_it_ran_out_of_iterations() -> None:
     result = levenberg_marquardt(np.array([-1.2, 1.0]), _rosenbrock, _add, max_iterations=9)
     assert (result.stop_reason, result.n_iterations) == ("iterations", 9)
-    assert result.cost < 0.5 * (_rosenbrock(np.array([-1.2, 1.0]))[0] ** 2).sum()
+    assert result.cost < 0.5 * (_rosenbrock(np.array([-1.2, 1.0])).residuals ** 2).sum()
 
 
 def test_impossible_start_is_refused() -> None:
-    def evaluate(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return np.array([np.nan, x[0]]), np.ones((2, 1))
+    def evaluate(x: FloatArray) -> DenseEquations:
+        return DenseEquations(np.array([np.nan, x[0]]), np.ones((2, 1)))
 
     with pytest.raises(ValueError, match="start has residuals that are not finite"):
         levenberg_marquardt(np.zeros(1), evaluate, _add)
@@ -63,10 +67,10 @@ def test_never_steps_where_residuals_are_not_finite() -> None:
     """sqrt(x) = 0.1 from x = 4: the first Gauss-Newton steps lead below zero."""
     seen: list[float] = []
 
-    def evaluate(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def evaluate(x: FloatArray) -> DenseEquations:
         seen.append(float(x[0]))
         root = np.sqrt(x) if x[0] > 0 else np.full(1, np.nan)
-        return root - 0.1, (0.5 / root)[:, None]
+        return DenseEquations(root - 0.1, (0.5 / root)[:, None])
 
     result = levenberg_marquardt(np.array([4.0]), evaluate, _add)
     assert min(seen) <= 0  # it was tempted
@@ -77,7 +81,7 @@ def test_cost_never_rises() -> None:
     costs: list[float] = []
 
     def move(x: FloatArray, step: FloatArray) -> FloatArray:
-        costs.append(float((_rosenbrock(x)[0] ** 2).sum()))  # of the state it moves from
+        costs.append(float((_rosenbrock(x).residuals ** 2).sum()))  # of the state it moves from
         return x + step
 
     levenberg_marquardt(np.array([-1.2, 1.0]), _rosenbrock, move)

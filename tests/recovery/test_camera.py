@@ -9,10 +9,9 @@ import pytest
 
 from calichrome.core.arrays import FloatArray
 from calichrome.errors import SolveError
-from calichrome.geometry.adjustment import PlanarView, Scene
+from calichrome.geometry.adjustment import PlanarView, Scene, planar_view
 from calichrome.geometry.intrinsics import CameraSolution, solve_camera
 from calichrome.geometry.lenses import BrownConrady
-from calichrome.geometry.rig_solve import planar_view
 from calichrome.observations import Dataset
 from calichrome.target import Target
 

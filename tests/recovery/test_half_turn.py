@@ -9,12 +9,26 @@ from scipy.spatial.transform import Rotation
 
 from calichrome.errors import AmbiguousBoardError
 from calichrome.geometry.adjustment import Scene
-from calichrome.geometry.rig_solve import solve_rig_pairwise
+from calichrome.geometry.rig_pairwise import solve_rig_pairwise
+from calichrome.geometry.rig_solution import RigSolution
+from calichrome.geometry.rig_solve import RigSettings, solve_rig
 from calichrome.observations import Dataset
 from calichrome.target import Target, chessboard
 
 MakeRig = Callable[[Target, int, int], Scene]
 Observe = Callable[[Scene, Target, float, np.random.Generator], Dataset]
+Solve = Callable[[Dataset, Target], RigSolution]
+
+
+def _pairwise(dataset: Dataset, target: Target) -> RigSolution:
+    return solve_rig_pairwise(dataset, target, reference="a")
+
+
+def _joint(dataset: Dataset, target: Target) -> RigSolution:
+    return solve_rig(dataset, target, RigSettings(reference="a"))
+
+
+_BOTH = pytest.mark.parametrize("solve", [_pairwise, _joint], ids=["pairwise", "joint"])
 
 
 def _turned(dataset: Dataset, target: Target, rng: np.random.Generator) -> Dataset:
@@ -34,10 +48,12 @@ def _turned(dataset: Dataset, target: Target, rng: np.random.Generator) -> Datas
     return dataset.with_views(views)
 
 
+@_BOTH
 @pytest.mark.parametrize(
     ("corners_xy", "n_turns"), [((6, 4), 2), ((7, 5), 2), ((4, 4), 4), ((6, 6), 4)]
 )
 def test_one_rigid_rig_results(
+    solve: Solve,
     corners_xy: tuple[int, int],
     n_turns: int,
     make_rig: MakeRig,
@@ -48,14 +64,14 @@ def test_one_rigid_rig_results(
     assert len(target.symmetries) == n_turns
     truth = make_rig(target, 3, 9)
     dataset = _turned(observe(truth, target, 0.2, rng), target, rng)
-    solved = solve_rig_pairwise(dataset, target, reference="a")
+    solved = solve(dataset, target)
     for camera, expected in zip("abc", truth.cams_from_ref, strict=True):
-        place = solved.graph.cams_from_ref[camera]
-        turn = Rotation.from_matrix(place.pose.rotation @ expected.rotation.T).as_rotvec()
-        error = np.concatenate([turn, place.pose.trans_m - expected.trans_m])
-        assert place.cov is not None
+        place, cov = solved.cams_from_ref[camera], solved.pose_cov[camera]
+        turn = Rotation.from_matrix(place.rotation @ expected.rotation.T).as_rotvec()
+        error = np.concatenate([turn, place.trans_m - expected.trans_m])
+        assert cov is not None
         # 99.99 % of all draws lie within 4 sigma (of 16 corners a view: up to 2 degrees)
-        assert (np.abs(error) <= 4 * np.sqrt(np.diag(place.cov))).all()
+        assert (np.abs(error) <= 4 * np.sqrt(np.diag(cov))).all()
     for pair in solved.pairs.values():
         # Noise of 0.28 px, and as much of lenses from 16 corners a view; one view of nine turned
         # wrongly (by half a board, 100 px) would give 10 px or more.

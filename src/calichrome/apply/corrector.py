@@ -11,7 +11,7 @@ from calichrome.colorimetry.encoding import EncodingName, encode, linearise
 from calichrome.colorimetry.rgb_spaces import RGB_FROM_XYZ
 from calichrome.core.arrays import FloatArray
 from calichrome.errors import CalichromeError
-from calichrome.geometry.lenses import BrownConrady
+from calichrome.geometry.lenses import Lens
 from calichrome.imaging import Image, Pixels
 from calichrome.rig import Camera
 
@@ -32,13 +32,13 @@ _ENTRIES = 65_536  # of the tables: one for every 16-bit value
 SourceMap = NDArray[np.float32]
 
 
-def undistorting_map(lens: BrownConrady, size_wh: tuple[int, int]) -> SourceMap:
+def undistorting_map(lens: Lens, size_wh: tuple[int, int]) -> SourceMap:
     """Source pixel of every pixel of the distortion-free picture with the same K, (H, W, 2)."""
     return _map_through(lens, np.asarray(np.linalg.inv(lens.matrix)), size_wh)
 
 
 def rectifying_map(
-    lens: BrownConrady, rotation: FloatArray, matrix: FloatArray, size_wh: tuple[int, int]
+    lens: Lens, rotation: FloatArray, matrix: FloatArray, size_wh: tuple[int, int]
 ) -> SourceMap:
     """Source pixel of every pixel of a rectified picture, (H, W, 2).
 
@@ -56,9 +56,7 @@ def rectifying_map(
     return _map_through(lens, rotation.T @ np.linalg.inv(matrix), size_wh)
 
 
-def _map_through(
-    lens: BrownConrady, rays_from_pixels: FloatArray, size_wh: tuple[int, int]
-) -> SourceMap:
+def _map_through(lens: Lens, rays_from_pixels: FloatArray, size_wh: tuple[int, int]) -> SourceMap:
     x, y = np.meshgrid(np.arange(size_wh[0]), np.arange(size_wh[1]))
     pixels = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1).astype(np.float64)
     rays = pixels @ rays_from_pixels.T

@@ -10,6 +10,8 @@ import tyro
 
 from calichrome._version import __version__
 from calichrome.cli.calibrate import Calibrate
+from calichrome.cli.check import Check
+from calichrome.cli.compare import Compare
 from calichrome.cli.correct import Correct
 from calichrome.cli.demo import Demo
 from calichrome.cli.detect import Detect
@@ -44,6 +46,8 @@ _Commands = (
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
     | Annotated[Correct, tyro.conf.subcommand("correct")]
     | Annotated[Rectify, tyro.conf.subcommand("rectify")]
+    | Annotated[Compare, tyro.conf.subcommand("compare")]
+    | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
 )
 

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from tyro.conf import Positional
 
 from calichrome.apply import OutputSpace
 from calichrome.cli.terminal import Command, Flag, Output, names_from
 from calichrome.errors import RecordingError
+from calichrome.geometry.rectified_area import Framing, PrincipalPoints, ValidArea
 from calichrome.pipeline.correct import rectify
 from calichrome.rig import load_rig
 
@@ -30,6 +30,10 @@ class Rectify(Command):
     """Folder for <camera>/<frame>.png and rectification.json."""
     pattern: str | None = None
     """How file names are built, as for calibrate."""
+    valid_area: ValidArea = "all"
+    """all: both pictures whole, with black borders; valid: the largest part without."""
+    principal_points: PrincipalPoints = "common"
+    """common: disparity is 0 at infinity; own: keeps the scale of cameras that converge."""
     colour: OutputSpace = "srgb"
     """Colour space of the output; a camera without colour calibration stays as it is."""
     sheet: Path | None = None
@@ -50,16 +54,29 @@ class Rectify(Command):
                 self.output,
                 pattern=self.pattern,
                 space=self.colour,
+                framing=Framing(area=self.valid_area, principal_points=self.principal_points),
                 sheet=self.sheet,
                 force=self.force,
                 progress=progress,
             )
-        axis = int(result.vertical)
-        baseline_mm = abs(result.projection_b[axis, 3] / result.matrix[0, 0]) * 1e3
-        self.show(
+        text = (
             f"Wrote rectified pictures of {' and '.join(names)} to {self.output}: f "
-            f"{result.matrix[0, 0]:.2f} px, baseline {baseline_mm:.2f} mm, "
-            f"{'columns' if result.vertical else 'rows'} correspond",
-            {"P1": result.projection_a.tolist(), "P2": np.asarray(result.projection_b).tolist()},
+            f"{result.focal_px:.2f} px, baseline {abs(result.baseline_m) * 1e3:.2f} mm, "
+            f"{'columns' if result.vertical else 'rows'} correspond; they show "
+            f"{result.a.share:.0%} and {result.b.share:.0%} of the pictures"
+        )
+        if result.baseline_m < 0:
+            where = "above" if result.vertical else "left of"
+            text += (
+                f"\n{names[1]} is {where} {names[0]}, so disparities are negative; a matcher that "
+                f"wants positive ones takes --pair {names[1]},{names[0]}"
+            )
+        self.show(
+            text,
+            {
+                "P1": result.a.projection.tolist(),
+                "P2": result.b.projection.tolist(),
+                "shares": [result.a.share, result.b.share],
+            },
         )
         return 0

@@ -7,13 +7,17 @@ from calichrome.core.arrays import FloatArray
 __all__ = ["apply_homography", "fit_homography"]
 
 
-def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
+def fit_homography(
+    source: FloatArray, target: FloatArray, weights: FloatArray | None = None
+) -> FloatArray:
     """Fit H with ``target ~ H source`` by the normalised direct linear transform.
 
     Parameters
     ----------
     source, target : (N, 2) float
         Matching points, N >= 4, no three of four on a line. Any unit.
+    weights : (N,) float, optional
+        Of the squares of each point's errors.
 
     Returns
     -------
@@ -39,6 +43,8 @@ def fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
     rows_u = np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1)
     rows_v = np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1)
     rows = np.concatenate([rows_u, rows_v])
+    if weights is not None:
+        rows *= np.sqrt(np.concatenate([weights, weights]))[:, None]
     _, _, vt = np.linalg.svd(rows, full_matrices=len(rows) < 9)
     homography = np.linalg.solve(to_target, vt[-1].reshape(3, 3) @ to_source)
     return np.asarray(homography / homography[2, 2])

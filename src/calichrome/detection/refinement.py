@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
 
 from calichrome.core.arrays import BoolArray, FloatArray, IntArray
 from calichrome.detection.blurred_saddle import (
@@ -76,7 +77,7 @@ class RefinedCorners:
         Standard deviation of the pixels, 0..1 of full scale: mean of black, edges and white.
     disagreement
         Mean squared misfit of the corners to a smooth map, in units of what white noise lets
-        expect; `cov_px` is scaled by it. nan if too few corners tell; then it is not.
+        expect; `cov_px` is widened by it. nan if too few corners tell; then it is not.
     reading
         Which reading of the picture was used.
     """
@@ -317,8 +318,34 @@ def _judged(
     weighted = np.linalg.solve(np.where(fitted[:, None, None], cov_px, np.eye(2)), misfit)
     size = (misfit * weighted).sum(axis=(1, 2)) / 2
     fitted = fitted & (size <= _MAP_GATE * max(disagreement, 1.0))
-    fine = replace(fine, cov_px=cov_px * disagreement, disagreement=disagreement)
+    widened = _widened(cov_px, misfit[..., 0], fitted, disagreement)
+    fine = replace(fine, cov_px=widened, disagreement=disagreement)
     return _with_doubtful(fine, fitted, start_px, mapped)
+
+
+def _widened(
+    cov_px: FloatArray, misfit_px: FloatArray, fitted: BoolArray, disagreement: float
+) -> FloatArray:
+    """Let the covariances explain the misfit: by a floor common to all corners of the view.
+
+    What moves corners of a printed board off a smooth map (a print that is not even, paper that is
+    not flat) moves sharp and blurred ones alike, so a variance s^2 is added to each, such that the
+    mean of m' (C + s^2)^-1 m is what it should be. Where corners agree better than their noise
+    says, all are scaled down.
+    """
+    if disagreement <= 1 or not fitted.any():
+        return cov_px * disagreement
+    values, axes = np.linalg.eigh(cov_px[fitted])
+    along = np.einsum("nij,ni->nj", axes, misfit_px[fitted]) ** 2
+    now = float((along / values).sum())
+
+    def excess(log_variance: float) -> float:
+        return float((along / (values + np.exp(log_variance))).sum()) * disagreement / now - 1
+
+    low, high = np.log(values.min() * 1e-6), np.log(along.sum() * disagreement / now + values.max())
+    if excess(low) <= 0 or excess(high) >= 0:
+        return cov_px * disagreement
+    return np.asarray(cov_px + np.exp(brentq(excess, low, high, xtol=1e-6)) * np.eye(2))
 
 
 def _with_doubtful(

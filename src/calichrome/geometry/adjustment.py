@@ -11,12 +11,14 @@ import numpy as np
 
 from calichrome.core.arrays import BoolArray, FloatArray, IntArray
 from calichrome.core.least_squares import (
-    LeastSquaresResult,
+    DenseEquations,
     covariance_from_jacobian,
     levenberg_marquardt,
 )
 from calichrome.core.pose import Pose, cross_matrix
 from calichrome.geometry.lenses import BrownConrady
+from calichrome.observations import BoardView
+from calichrome.target import Target
 
 __all__ = [
     "Adjustment",
@@ -25,6 +27,7 @@ __all__ = [
     "Scene",
     "Sightings",
     "adjust",
+    "planar_view",
     "residuals_of",
     "rms_px",
     "whitened_residuals",
@@ -46,6 +49,18 @@ class PlanarView:
     points_board: FloatArray
     pixels: FloatArray
     whitening: FloatArray | None = None
+
+
+def planar_view(view: BoardView, target: Target) -> PlanarView:
+    """Pair the corners of a view with their places on the board."""
+    whitening = None
+    if view.cov_px is not None:
+        whitening = np.linalg.inv(np.linalg.cholesky(view.cov_px))
+    return PlanarView(
+        points_board=target.corners_board[view.corner_ids],
+        pixels=view.corners_px,
+        whitening=whitening,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,22 +162,21 @@ def adjust(
         If `start` puts a board behind a camera that sees it.
     """
 
-    def evaluate(scene: Scene) -> tuple[FloatArray, FloatArray]:
-        return whitened_residuals(sightings, scene, free)
+    def linearise(scene: Scene) -> DenseEquations:
+        return DenseEquations(*whitened_residuals(sightings, scene, free))
 
     def move(scene: Scene, step: FloatArray) -> Scene:
         return _moved(scene, free, step)
 
-    result: LeastSquaresResult[Scene] = levenberg_marquardt(
-        start, evaluate, move, max_iterations=max_iterations
-    )
-    n_residuals, n_free = result.jacobian.shape
+    result = levenberg_marquardt(start, linearise, move, max_iterations=max_iterations)
+    jacobian = result.equations.jacobian
+    n_residuals, n_free = jacobian.shape
     variance = 2 * result.cost / max(n_residuals - n_free, 1)
-    covariance = covariance_from_jacobian(result.jacobian) if n_residuals > n_free else None
+    covariance = covariance_from_jacobian(jacobian) if n_residuals > n_free else None
     return Adjustment(
         scene=result.state,
         residuals_px=residuals_of(sightings, result.state),
-        jacobian=result.jacobian,
+        jacobian=jacobian,
         covariance=None if covariance is None else covariance * variance,
         variance=variance,
     )

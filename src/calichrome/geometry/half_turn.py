@@ -5,21 +5,27 @@ corner counts four). Only with the right ones does one rigid rig explain all fra
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calichrome.core.arrays import FloatArray, IntArray
 from calichrome.core.pose import Pose
 from calichrome.errors import AmbiguousBoardError
-from calichrome.geometry.adjustment import PlanarView, rms_px
-from calichrome.geometry.lenses import BrownConrady
+from calichrome.geometry.adjustment import PlanarView, planar_view, rms_px
+from calichrome.geometry.lenses import Lens
+from calichrome.observations import Dataset
+from calichrome.target import Target
 
-__all__ = ["SolvedViews", "resolve_half_turns"]
+__all__ = ["SolvedViews", "resolve_half_turns", "resolve_turns"]
 
 _CLEAR = 2.0
 """The runner-up must explain a frame twice as badly. With honest pixels it is tens of times worse
 (a wrong half-turn moves corners by half the board), so 2 only sorts out frames that cannot tell."""
+
+_CONTRADICTS, _FALSE_PX = 10.0, 2.0
+"""A frame is false, not ambiguous, if even its best reading misses by ten times the median frame
+and by 2 px more; choices: wrong turns and swapped frames miss by tens of pixels."""
 
 _NOTHING_PX = 1e-3  # errors below are rounding: a single frame fits every reading exactly
 _MAX_SEEDS = 24  # frames whose motion is tried as the rig's; more add time, not certainty
@@ -29,7 +35,7 @@ _MAX_SEEDS = 24  # frames whose motion is tried as the rig's; more add time, not
 class SolvedViews:
     """One camera's lens, with its views and their cam_from_board by frame."""
 
-    lens: BrownConrady
+    lens: Lens
     views: Mapping[str, PlanarView]
     poses: Mapping[str, Pose]
 
@@ -73,6 +79,56 @@ def resolve_half_turns(
     if doubtful:
         raise AmbiguousBoardError(sorted(doubtful))
     return turns
+
+
+def resolve_turns(
+    dataset: Dataset,
+    target: Target,
+    lenses: Mapping[str, Lens],
+    poses: Mapping[str, Mapping[str, Pose]],
+) -> Dataset:
+    """Renumber the corners of every view so that one rigid rig explains all frames.
+
+    Parameters
+    ----------
+    dataset
+        Views of whole boards.
+    target
+        The board.
+    lenses
+        By camera.
+    poses
+        camera -> frame -> cam_from_board as each camera alone has it.
+
+    Raises
+    ------
+    AmbiguousBoardError
+        See `resolve_half_turns`.
+    """
+    cameras = {
+        camera: SolvedViews(
+            lenses[camera],
+            {frame: planar_view(view, target) for frame, view in own.items()},
+            poses[camera],
+        )
+        for camera, own in dataset.views.items()
+    }
+    turns = resolve_half_turns(cameras, target.symmetries)
+    views = {
+        camera: {
+            frame: replace(
+                view,
+                corners_px=view.corners_px[target.symmetries[turns[camera][frame]]],
+                cov_px=None
+                if view.cov_px is None
+                else view.cov_px[target.symmetries[turns[camera][frame]]],
+                half_turn_ambiguous=False,
+            )
+            for frame, view in own.items()
+        }
+        for camera, own in dataset.views.items()
+    }
+    return dataset.with_views(views)
 
 
 def _shared(a: SolvedViews, b: SolvedViews) -> list[str]:
@@ -138,6 +194,8 @@ def _agree(
             clear &= ~differs
     ordered = np.sort(best, axis=1)
     clear &= ordered[:, 1] > _CLEAR * ordered[:, 0] + _NOTHING_PX
+    # a frame that no reading explains is not ambiguous but false: who checks frames will find it
+    clear |= ordered[:, 0] > _CONTRADICTS * np.median(ordered[:, 0]) + _FALSE_PX
     return {
         frame: int(turn)
         for frame, turn, sure in zip(frames, choice, clear, strict=True)

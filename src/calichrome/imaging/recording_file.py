@@ -22,7 +22,7 @@ class CameraEntry(_Closed):
 
     encoding: EncodingChoice | None = None
     bits: int | None = Field(default=None, ge=8, le=16)
-    lens: Literal["brown-conrady"] | None = None
+    lens: Literal["brown-conrady", "rational", "kannala-brandt"] | None = None
     fixed: dict[str, float] = Field(default_factory=dict)
 
 
@@ -34,7 +34,7 @@ class RecordingFile(_Closed):
     square: str | None = None
     encoding: EncodingChoice | None = None
     bits: int | None = Field(default=None, ge=8, le=16)
-    lens: Literal["brown-conrady"] | None = None
+    lens: Literal["brown-conrady", "rational", "kannala-brandt"] | None = None
     reference_camera: str | None = None
     cameras: dict[str, CameraEntry] = Field(default_factory=dict)
 

@@ -57,8 +57,8 @@ class BoardView:
     cov_px : (N, 2, 2) float, or None
         Covariance of each corner, px^2; None if it was not estimated.
     cov_scale
-        By what `cov_px` was multiplied because the corners disagree with a smooth board by more (or
-        less) than white noise explains; 1 if nothing was.
+        Mean squared misfit of the corners to a smooth board over what white noise explains; above 1
+        a floor common to all corners was added to `cov_px`, below 1 it was multiplied by it.
     half_turn_ambiguous
         True if the board looks the same after half a turn, so that the ids may be turned.
     discs

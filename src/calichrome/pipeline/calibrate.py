@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -15,9 +14,8 @@ from calichrome.core.findings import Finding, finding
 from calichrome.core.pose import Pose
 from calichrome.detection import BoardToPixels, measure_discs
 from calichrome.errors import FileFormatError, RecordingError
-from calichrome.geometry.held_out import held_out_rms_px
-from calichrome.geometry.lenses import BrownConrady
-from calichrome.geometry.rig_solve import RigSolution, solve_rig_pairwise
+from calichrome.geometry.lenses import Lens
+from calichrome.geometry.rig_solution import RigSolution
 from calichrome.imaging import (
     MAX_FRAMES,
     MAX_MEGAPIXELS,
@@ -41,10 +39,12 @@ from calichrome.pipeline.detect import (
 from calichrome.pipeline.judge import (
     judge_colour,
     judge_exposures,
-    judge_geometry,
     judge_target,
     judge_unknown_encodings,
 )
+from calichrome.pipeline.judge_geometry import judge_geometry
+from calichrome.pipeline.solve_geometry import GeometrySettings, solve_geometry
+from calichrome.pipeline.world import place_world
 from calichrome.rig import Evidence, Rig
 from calichrome.target import Target
 
@@ -52,7 +52,7 @@ __all__ = ["Calibration", "CalibrationSettings", "calibrate", "calibrate_dataset
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationSettings:
+class CalibrationSettings(GeometrySettings):
     """How to calibrate.
 
     Parameters
@@ -68,10 +68,6 @@ class CalibrationSettings:
         How file names are built, like "{camera}_{frame}" or "{camera:left|right}{frame}".
     cameras
         Use only these cameras.
-    method
-        "pairwise": each camera, then pairs, then the chain to the reference camera.
-    reference_camera
-        Default: the camera with the least total path error.
     max_megapixels
         Refuse larger pictures before decoding them.
     max_frames
@@ -82,8 +78,6 @@ class CalibrationSettings:
     square: str | None = None
     pattern: str | None = None
     cameras: tuple[str, ...] = ()
-    method: Literal["pairwise"] = "pairwise"
-    reference_camera: str | None = None
     max_megapixels: float = MAX_MEGAPIXELS
     max_frames: int = MAX_FRAMES
 
@@ -281,19 +275,20 @@ def _calibrate(
     *,
     measure: bool = True,
 ) -> Calibration:
-    fixed = {}
+    fixed, lenses = {}, {}
     if recording is not None:
-        fixed = {camera: recording.entry(camera).fixed for camera in recording.cameras}
-    reference = settings.reference_camera
-    if reference is None and recording is not None:
-        reference = recording.settings.reference_camera
+        entries = {camera: recording.entry(camera) for camera in recording.cameras}
+        fixed = {camera: entry.fixed for camera, entry in entries.items()}
+        lenses = {camera: entry.lens for camera, entry in entries.items() if entry.lens}
+        if settings.reference_camera is None:
+            settings = replace(settings, reference_camera=recording.settings.reference_camera)
     progress("solving the geometry", 0, 2)
-    solved = solve_rig_pairwise(detection.dataset, target, reference=reference, fixed=fixed)
+    geometry = solve_geometry(detection.dataset, target, settings, fixed=fixed, lenses=lenses)
+    solved = geometry.solution
     progress("solving the geometry", 1, 2)
-    held_out = held_out_rms_px(solved, target, fixed=fixed)
+    findings = [*detection.findings, *judge_target(target), *judge_geometry(geometry, target)]
     progress("solving the geometry", 2, 2)
 
-    findings = [*detection.findings, *judge_target(target), *judge_geometry(solved, target)]
     dataset = solved.dataset
     encodings: dict[str, EncodingName | None] = dict.fromkeys(dataset.cameras)
     bits: dict[str, int | None] = dict.fromkeys(dataset.cameras)
@@ -306,7 +301,13 @@ def _calibrate(
     colours, colour_findings = _solve_colour(dataset, target, encodings)
     findings += colour_findings
 
-    rig = assemble_rig(solved, target, held_out, colours, encodings, bits, findings)
+    world_from_ref = place_world(
+        solved, target.corners_board, frame=settings.world_frame, points=settings.world_points
+    )
+    rig = assemble_rig(
+        solved, target, geometry.held_out, colours, encodings, bits, findings, world_from_ref,
+        geometry.halves,
+    )  # fmt: skip
     return Calibration(
         rig=rig,
         evidence=gather_evidence(solved, target),
@@ -324,13 +325,12 @@ def _measure_again(
     measured: dict[str, dict[str, BoardView]] = {}
     for camera, views in solved.dataset.views.items():
         measured[camera] = {}
-        poses = dict(zip(views, solved.cameras[camera].cams_from_board, strict=True))
         for frame, view in views.items():
             progress("measuring colours", done, n_views)
             image = recording.read(camera, frame)
             discs = None
             if isinstance(image, Image) and image.is_colour:
-                to_pixels = _projection(solved.cameras[camera].lens, poses[frame])
+                to_pixels = _projection(solved.lenses[camera], solved.cam_from_board(camera, frame))
                 discs = measure_discs(image, target, to_pixels, view.corner_ids)
             measured[camera][frame] = replace(view, discs=discs)
             done += 1
@@ -349,7 +349,7 @@ def _encoding_of(recording: Recording, camera: str) -> EncodingName:
     return "srgb" if first is None else first.encoding
 
 
-def _projection(lens: BrownConrady, cam_from_board: Pose) -> BoardToPixels:
+def _projection(lens: Lens, cam_from_board: Pose) -> BoardToPixels:
     def to_pixels(points_board: FloatArray) -> FloatArray:
         return lens.project(cam_from_board.apply(points_board))
 

@@ -16,8 +16,9 @@ from calichrome.apply import (
     undistorting_map,
 )
 from calichrome.core.files import check_folder, check_output, writing_folder
-from calichrome.errors import CalichromeError, OutputError, RecordingError
+from calichrome.errors import CalichromeError, OutputError, RecordingError, SolveError
 from calichrome.geometry.rectification import Rectification, rectify_pair
+from calichrome.geometry.rectified_area import Framing
 from calichrome.imaging import (
     PICTURE_SUFFIXES,
     Image,
@@ -122,6 +123,7 @@ def rectify(
     *,
     pattern: str | None = None,
     space: OutputSpace = "srgb",
+    framing: Framing | None = None,
     sheet: Path | None = None,
     force: bool = False,
     progress: Progress = silent,
@@ -134,6 +136,8 @@ def rectify(
         As in `correct`; a rig without colour uses "none".
     pair
         The two cameras, in the order wanted.
+    framing
+        Which part of the pictures is shown; None: all of both.
     sheet
         Also write the first common frame side by side, with lines along which points correspond.
 
@@ -153,17 +157,27 @@ def rectify(
     cameras = {name: rig.cameras[name] for name in pair}
     a, b = (cameras[name] for name in pair)
     b_from_a = b.cam_from_ref @ a.cam_from_ref.inverse()
-    rectification = rectify_pair(a.lens, b.lens, b_from_a, a.size_wh, b.size_wh)
-    turns = dict(zip(pair, (rectification.rotation_a, rectification.rotation_b), strict=True))
-    spaces = {name: space if item.colour is not None else "none" for name, item in cameras.items()}
+    try:
+        rectification = rectify_pair(
+            a.lens, b.lens, b_from_a, a.size_wh, b.size_wh, framing or Framing()
+        )
+    except SolveError as error:
+        raise SolveError(f"{pair[0]} and {pair[1]}: {error}") from error
     correctors = {
         name: _named(
             name,
-            item,
-            spaces[name],
-            rectifying_map(item.lens, turns[name], rectification.matrix, rectification.size_wh),
+            camera,
+            space if camera.colour is not None else "none",
+            rectifying_map(
+                camera.lens,
+                half.rect_from_cam,
+                half.matrix,
+                rectification.size_wh,
+            ),
         )
-        for name, item in cameras.items()
+        for (name, camera), half in zip(
+            cameras.items(), (rectification.a, rectification.b), strict=True
+        )
     }
     recording = open_recording(source, pattern=pattern, cameras=pair)
     _refuse_videos(recording)
@@ -304,9 +318,9 @@ def _rectification_json(item: Rectification, pair: tuple[str, str]) -> dict[str,
         "cameras": list(pair),
         "size_wh": list(item.size_wh),
         "vertical": item.vertical,
-        "R1": item.rotation_a.tolist(),
-        "R2": item.rotation_b.tolist(),
-        "P1": item.projection_a.tolist(),
-        "P2": item.projection_b.tolist(),
+        "R1": item.a.rect_from_cam.tolist(),
+        "R2": item.b.rect_from_cam.tolist(),
+        "P1": item.a.projection.tolist(),
+        "P2": item.b.projection.tolist(),
         "Q": item.disparity_to_depth.tolist(),
     }

@@ -1,7 +1,6 @@
-"""Findings: what the numbers of a calibration say to its user."""
+"""Findings on the target and on colour: what the numbers say to their user."""
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -10,36 +9,17 @@ from calichrome.colour.checks import exposure_jumps, grey_slope
 from calichrome.colour.fit import ColourSolution
 from calichrome.colour.samples import ColourSamples
 from calichrome.core.findings import Finding, finding
-from calichrome.geometry.adjustment import rms_px
-from calichrome.geometry.intrinsics import CameraSolution
-from calichrome.geometry.rig_solve import RigSolution
 from calichrome.imaging import Recording
 from calichrome.observations import Dataset
 from calichrome.target import Target
 
 __all__ = [
-    "focal_sigma",
     "judge_colour",
     "judge_exposures",
-    "judge_geometry",
     "judge_target",
     "judge_unknown_encodings",
 ]
 
-_FEW_VIEWS = 10  # Kapusi et al., 2010: at least ten views
-_SMALL_BOARD = 56  # ... of 7x8 corners
-_UNSYNCHRONISED = 2.0
-"""Pair error over the larger of the two cameras' own. Real synchronous recordings stay below 1.3;
-a board that moves by one pixel between the shutters passes 2 wherever corners are good to 0.3."""
-_WEAK_FOCAL = 0.02
-"""Relative sigma of a focal length from which lengths are uncertain by 4 % (95 %): no rig can use
-that, while ten tilted views give 0.1 %."""
-_POOR_FIT = 1e-3
-"""RMS over picture width from which a lens does not explain its views: at common focal lengths a
-ray is then off by 1 mrad, 1 mm at 1 m. The real recordings of the tests are at 1e-4 to 3e-4."""
-_OUTLYING = 4.0
-"""RMS of a view over the median view of its camera, where it also exceeds `_POOR_FIT`. The worst
-views of the real recordings of the tests are at 1.6."""
 _SLOPE_TOLERANCE = 0.12
 """Of the grey slope about 1, on the greys of the ColorChecker. sRGB read as Rec.709 gives 0.84, the
 reverse 1.21, sRGB read as linear 0.48, linear as sRGB 1.68. Prints with errors of sd 3 in L, a, b
@@ -71,85 +51,6 @@ def judge_target(target: Target) -> Iterator[Finding]:
             "The paper's white is not in target.json: the overall level comes from the discs "
             "alone. Measure it with `target measure` (row paper_white).",
         )
-
-
-def judge_geometry(rig: RigSolution, target: Target) -> Iterator[Finding]:
-    """Yield doubts about lenses and poses."""
-    for camera, solution in rig.cameras.items():
-        n_views = len(solution.cams_from_board)
-        sigma = focal_sigma(solution)
-        costs = "unknown" if sigma is None else f"{sigma:.2g} px"
-        if n_views < _FEW_VIEWS:
-            expected = (
-                ""
-                if sigma is None
-                else (f" (about {sigma * math.sqrt(n_views / 15):.2g} px with 15 views)")
-            )
-            yield finding(
-                "few_views",
-                f"Camera {camera}: {n_views} views of the board; its focal length is known to "
-                f"± {costs}{expected}. Record 15 to 25.",
-                camera=camera, n_views=n_views, sigma_fx_px=sigma,
-            )  # fmt: skip
-        if target.n_corners < _SMALL_BOARD:
-            expected = (
-                ""
-                if sigma is None
-                else (f" (about {sigma * math.sqrt(target.n_corners / 88):.2g} px with 11x8)")
-            )
-            yield finding(
-                "small_board",
-                f"Camera {camera}: the board has {target.n_corners} inner corners; the focal "
-                f"length is known to ± {costs}{expected}.",
-                camera=camera, n_corners=target.n_corners, sigma_fx_px=sigma,
-            )  # fmt: skip
-        if sigma is None or sigma > _WEAK_FOCAL * solution.lens.fx:
-            yield finding(
-                "weak_geometry",
-                f"Camera {camera}: the views do not determine the lens (focal length ± {costs}). "
-                f"Tilt the board by 30 to 45 degrees both ways and vary its distance.",
-                camera=camera, sigma_fx_px=sigma,
-            )  # fmt: skip
-        yield from _judge_residuals(camera, solution, list(rig.dataset.views[camera]), rig)
-    for (a, b), pair in rig.pairs.items():
-        own = max(rig.cameras[a].rms_px, rig.cameras[b].rms_px)
-        if pair.n_shared > 1 and pair.rms_px > _UNSYNCHRONISED * own:
-            yield finding(
-                "unsynchronised",
-                f"Cameras {a} and {b}: {pair.rms_px:.2f} px together, {own:.2f} px alone; the "
-                f"board moved between their pictures, or frames are mixed up. Hold it still for "
-                f"each shot.",
-                cameras=[a, b], rms_px=pair.rms_px, own_rms_px=own,
-            )  # fmt: skip
-
-
-def _judge_residuals(
-    camera: str, solution: CameraSolution, frames: Sequence[str], rig: RigSolution
-) -> Iterator[Finding]:
-    limit_px = _POOR_FIT * rig.dataset.sizes_wh[camera][0]
-    by_view = np.array([rms_px(part) for part in solution.residuals_px])
-    off = by_view > max(limit_px, _OUTLYING * float(np.median(by_view)))
-    names = [frame for frame, is_off in zip(frames, off, strict=True) if is_off]
-    if names:
-        yield finding(
-            "views_disagree",
-            f"Camera {camera}: frames {', '.join(names[:5])} miss by {by_view[off].max():.1f} px, "
-            f"the others by {np.median(by_view):.2f} px. The board moved, bent or was numbered "
-            f"wrongly there; look at them with `detect --overlay` and leave them out.",
-            camera=camera, frames=names,
-        )  # fmt: skip
-    elif solution.rms_px > limit_px:
-        yield finding(
-            "poor_fit",
-            f"Camera {camera}: the views are explained only to {solution.rms_px:.2f} px. The board "
-            f"may be bent, the target described wrongly, or the lens beyond {solution.lens.MODEL}.",
-            camera=camera, rms_px=solution.rms_px,
-        )  # fmt: skip
-
-
-def focal_sigma(solution: CameraSolution) -> float | None:
-    """Return the standard deviation of fx, pixels; None if the views leave it open."""
-    return None if solution.lens_cov is None else float(np.sqrt(solution.lens_cov[0, 0]))
 
 
 def judge_exposures(

@@ -15,7 +15,8 @@ from calichrome.core.findings import Finding, Severity
 from calichrome.core.pose import Pose
 from calichrome.errors import FileFormatError, TargetError
 from calichrome.geometry.lenses import LENSES
-from calichrome.rig.model import Camera, CameraColour, Evidence, Pair, PlacedFrame, Rig
+from calichrome.rig.evidence import Evidence
+from calichrome.rig.model import BoardWarp, Camera, CameraColour, Pair, PlacedFrame, Rig
 from calichrome.target import target_from_json, target_to_json
 
 __all__ = ["FORMAT_VERSION", "RigFile", "load_rig", "rig_to_json", "save_rig"]
@@ -71,6 +72,15 @@ class _ColourFile(_Base):
     candidates: list[dict[str, Any]] = Field(default_factory=list)
 
 
+class _SigmaFile(_Base):
+    rms: float
+    max: float
+
+
+class _WarpFile(_Base):
+    sigma: dict[str, float | None]
+
+
 class _CameraFile(_Base):
     size_wh: tuple[PictureSide, PictureSide]
     time_offset_s: float = 0.0
@@ -80,6 +90,8 @@ class _CameraFile(_Base):
     n_corners: int
     rms_px: float
     held_out_rms_px: float | None
+    projection_sigma_px: _SigmaFile | None = None
+    halves_ratio: float | None = None
     vignetting: dict[str, Any] | None = None
     colour: _ColourFile | None
 
@@ -135,7 +147,7 @@ def save_rig(rig: Rig, evidence: Evidence | None, path: Path, *, force: bool = F
     refuse_existing(path, force=force)
     if evidence is not None:
         with writing_file(beside, force=force) as temporary, temporary.open("wb") as stream:
-            np.savez_compressed(stream, allow_pickle=False, **_evidence_arrays(evidence))
+            np.savez_compressed(stream, allow_pickle=False, **evidence.arrays())
     with writing_file(path, force=force) as temporary:
         temporary.write_text(json.dumps(rig_to_json(rig), indent=1) + "\n", encoding="utf-8")
 
@@ -193,7 +205,12 @@ def rig_to_json(rig: Rig) -> dict[str, Any]:
             {**item.data, "code": item.code, "severity": item.severity, "text": item.text}
             for item in rig.findings
         ],
-        "target": {**target_to_json(rig.target), "warp": None},
+        "target": {
+            **target_to_json(rig.target),
+            "warp": None
+            if rig.warp is None
+            else {**rig.warp.values, "sigma": dict(rig.warp.sigma)},
+        },
         "cameras": {name: _camera_to_json(camera) for name, camera in rig.cameras.items()},
         "pairs": [
             {"cameras": list(p.cameras), "shared_views": p.shared_views, "rms_px": p.rms_px}
@@ -236,6 +253,10 @@ def _camera_to_json(camera: Camera) -> dict[str, Any]:
         "n_corners": camera.n_corners,
         "rms_px": camera.rms_px,
         "held_out_rms_px": camera.held_out_rms_px,
+        "projection_sigma_px": None
+        if camera.projection_sigma_px is None
+        else dict(zip(("rms", "max"), camera.projection_sigma_px, strict=True)),
+        "halves_ratio": camera.halves_ratio,
         "vignetting": None,
         "colour": None
         if colour is None
@@ -278,7 +299,16 @@ def _rig_from_file(file: RigFile, data: dict[str, Any]) -> Rig:
         ),
         inter_camera_delta_e_2000=None if inter is None else {"mean": inter.mean, "p95": inter.p95},
         world_from_ref=_pose(file.world_from_ref),
+        warp=_warp(data["target"].get("warp")),
     )
+
+
+def _warp(data: dict[str, Any] | None) -> BoardWarp | None:
+    if data is None:
+        return None
+    file = _WarpFile.model_validate(data)
+    values = file.model_extra or {}
+    return BoardWarp({name: float(values[name]) for name in file.sigma}, file.sigma)
 
 
 def _camera(file: _CameraFile) -> Camera:
@@ -286,7 +316,7 @@ def _camera(file: _CameraFile) -> Camera:
     if lens_type is None:
         raise FileFormatError(f"lens model {file.lens.model} is not known to this release")
     values = file.lens.model_extra or {}
-    lens = lens_type(**{name: float(values[name]) for name in lens_type.NAMES})
+    lens = lens_type.from_parameters(np.array([float(values[name]) for name in lens_type.NAMES]))
     pose = file.cam_from_ref
     return Camera(
         size_wh=file.size_wh,
@@ -300,6 +330,10 @@ def _camera(file: _CameraFile) -> Camera:
         n_corners=file.n_corners,
         rms_px=file.rms_px,
         held_out_rms_px=file.held_out_rms_px,
+        projection_sigma_px=None
+        if file.projection_sigma_px is None
+        else (file.projection_sigma_px.rms, file.projection_sigma_px.max),
+        halves_ratio=file.halves_ratio,
         colour=None if file.colour is None else _colour(file.colour),
     )
 
@@ -318,16 +352,3 @@ def _colour(file: _ColourFile) -> CameraColour:
             "held_out_p95": file.delta_e_2000.held_out_p95,
         },
     )
-
-
-def _evidence_arrays(evidence: Evidence) -> dict[str, Any]:
-    return {
-        "camera": np.array(evidence.camera),
-        "frame": np.array(evidence.frame),
-        "corner": evidence.corner,
-        "pixels": evidence.pixels,
-        "residuals_px": evidence.residuals_px,
-        **{f"lens_cov/{camera}": cov for camera, cov in evidence.lens_cov.items()},
-        **{f"pose_cov/{camera}": cov for camera, cov in evidence.pose_cov.items()},
-        "sums": np.array([[*key, value] for key, value in evidence.sums.items()]).reshape(-1, 3),
-    }

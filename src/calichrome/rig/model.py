@@ -4,16 +4,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calichrome.colorimetry.encoding import EncodingName
 from calichrome.colour.models import ColourModel
 from calichrome.core.arrays import FloatArray
 from calichrome.core.findings import Finding
 from calichrome.core.pose import Pose
-from calichrome.geometry.lenses import BrownConrady
+from calichrome.geometry.lenses import Lens
+from calichrome.geometry.triangulation import TriangulatedPoints, triangulate
+from calichrome.rig.evidence import CameraCovariance
 from calichrome.target import Target
 
-__all__ = ["Camera", "CameraColour", "Evidence", "Pair", "PlacedFrame", "Rig"]
+__all__ = ["BoardWarp", "Camera", "CameraColour", "Pair", "PlacedFrame", "Rig"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -64,14 +67,20 @@ class Camera:
         Covariance of the translation, whose diagonal `sigma_m` is the root of.
     n_views, n_corners
         What the lens stands on.
+    projection_sigma_px
+        Root mean square and largest sigma of projection over the picture, after the best rotation
+        of the camera; None if not estimated.
     rms_px, held_out_rms_px
         Errors on the frames used, and on frames left out.
     colour
         None if colour was not calibrated.
+    halves_ratio
+        By how much more than their covariances say two halves of the frames differ, in projection;
+        None if that was not told.
     """
 
     size_wh: tuple[int, int]
-    lens: BrownConrady
+    lens: Lens
     lens_sigma: Mapping[str, float | None]
     cam_from_ref: Pose
     sigma_rad: FloatArray | None
@@ -82,13 +91,15 @@ class Camera:
     held_out_rms_px: float | None = None
     cov_m: FloatArray | None = None
     colour: CameraColour | None = None
+    projection_sigma_px: tuple[float, float] | None = None
+    halves_ratio: float | None = None
 
     def project(self, points_ref: FloatArray) -> FloatArray:
         """Pixels (N, 2) of points (N, 3) in ref, metres; nan behind the camera."""
         return self.lens.project(self.cam_from_ref.apply(np.asarray(points_ref)))
 
     def unproject(self, pixels: FloatArray) -> FloatArray:
-        """Rays (N, 3) in the camera frame with z = 1; nan where the lens has none."""
+        """Rays (N, 3) in the camera frame, whose length means nothing; nan: the lens has none."""
         return self.lens.unproject(np.asarray(pixels))
 
 
@@ -109,29 +120,18 @@ class PlacedFrame:
     cameras: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Evidence:
-    """What the rig was computed from: the arrays of rig.npz, one row per corner or picture.
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardWarp:
+    """How the board differs from a flat one.
 
     Parameters
     ----------
-    camera, frame : (M,) str
-    corner : (M,) int
-    pixels, residuals_px : (M, 2) float
-        Residuals with one board pose per frame for all cameras, projected minus observed.
-    lens_cov : camera -> (9, 9) float
-    pose_cov : camera -> (6, 6) float
-    sums : (camera, frame) -> SHA-256 of the picture file
+    values, sigma
+        By term: bow terms in metres of sagitta, "aspect" unitless; see docs/formulation.md.
     """
 
-    camera: tuple[str, ...]
-    frame: tuple[str, ...]
-    corner: FloatArray
-    pixels: FloatArray
-    residuals_px: FloatArray
-    lens_cov: Mapping[str, FloatArray]
-    pose_cov: Mapping[str, FloatArray]
-    sums: Mapping[tuple[str, str], str]
+    values: Mapping[str, float]
+    sigma: Mapping[str, float | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -146,8 +146,44 @@ class Rig:
     findings: tuple[Finding, ...] = ()
     inter_camera_delta_e_2000: Mapping[str, float] | None = None
     world_from_ref: Pose = field(default_factory=Pose.identity)
+    warp: BoardWarp | None = None
 
     @property
     def trustworthy(self) -> bool:
         """Whether there is no critical finding."""
         return not any(item.severity == "critical" for item in self.findings)
+
+    def triangulate(
+        self,
+        pixels: Mapping[str, ArrayLike],
+        *,
+        cov_px2: ArrayLike | None = None,
+        covariance: CameraCovariance | None = None,
+    ) -> TriangulatedPoints:
+        """Find points from their pixels in two cameras or more.
+
+        Parameters
+        ----------
+        pixels
+            camera -> (N, 2) float, pixels, of the same N points; nan where not seen.
+        cov_px2 : (..., 2, 2) float, pixels squared
+            Of each position, to be broadcast to (N, C, 2, 2); None: as noisy as the corners that
+            each camera was calibrated with.
+        covariance
+            `Evidence.joint`, so that the doubts of the calibration count; None: it is exact.
+
+        Returns
+        -------
+        TriangulatedPoints
+            In ref.
+        """
+        cameras = [self.cameras[camera] for camera in pixels]
+        if cov_px2 is None:
+            cov_px2 = np.stack([np.eye(2) * camera.rms_px**2 / 2 for camera in cameras])
+        return triangulate(
+            np.stack([np.asarray(own, dtype=np.float64) for own in pixels.values()], axis=1),
+            [camera.lens for camera in cameras],
+            [camera.cam_from_ref for camera in cameras],
+            cov_px2=cov_px2,
+            cameras_cov=None if covariance is None else covariance.of(*pixels),
+        )

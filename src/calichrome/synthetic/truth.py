@@ -17,7 +17,7 @@ from calichrome.core.arrays import FloatArray
 from calichrome.core.files import writing_file
 from calichrome.core.pose import Pose
 from calichrome.errors import FileFormatError
-from calichrome.geometry.lenses import LENSES, BrownConrady
+from calichrome.geometry.lenses import BrownConrady
 from calichrome.synthetic.scene import Scene, SceneCamera, white_margin_m
 from calichrome.synthetic.spectra import printed_palette
 from calichrome.synthetic.visibility import project_visible, sees_whole
@@ -273,7 +273,10 @@ def _from_json(data: Mapping[str, Any]) -> Truth:
 
 def _camera_from_json(entry: Mapping[str, Any]) -> CameraTruth:
     numbers = dict(entry["lens"])
-    lens = LENSES[numbers.pop("model")](**numbers)
+    model = numbers.pop("model")
+    if model != BrownConrady.MODEL:
+        raise FileFormatError(f"truth: lens model {model} is not simulated")
+    lens = BrownConrady(**numbers)
     width, height = entry["size_wh"]
     red, green, blue = entry["white_balance"]
     return CameraTruth(

@@ -9,6 +9,7 @@ from scipy.ndimage import map_coordinates
 from calichrome.apply import OUTPUT_SPACES, Corrector, OutputSpace, undistorting_map
 from calichrome.core.arrays import FloatArray
 from calichrome.errors import CalichromeError
+from calichrome.geometry.lenses import BrownConrady
 from calichrome.imaging import Image, Pixels
 from calichrome.rig import Camera
 
@@ -167,6 +168,7 @@ def test_undistortion_keeps_straight_lines(camera: Camera, rng: np.random.Genera
 
 def test_what_the_camera_cannot_see_is_black(camera: Camera) -> None:
     """Beyond the fold of the lens the formula leads back into the picture."""
+    assert isinstance(camera.lens, BrownConrady)
     folding = replace(camera.lens, k1=-0.9, k2=0.0, k3=0.0)
     source = undistorting_map(folding, camera.size_wh)
     image = Image(pixels=np.full((120, 160), 255, np.uint8), encoding="srgb", bits=8)

@@ -50,7 +50,7 @@ def test_fixed_values_of_recording_toml(simulated: Path, tmp_path: Path) -> None
     )
     rig = run(folder, CalibrationSettings()).rig
     lens = rig.cameras["cam0"].lens
-    assert (lens.k3, lens.cx) == (0.0, 320.0)
+    assert (lens.as_dict()["k3"], lens.cx) == (0.0, 320.0)
     assert rig.cameras["cam0"].lens_sigma["cx"] == 0
     assert rig.target.square_m == (0.031, 0.031)
     assert rig.target.square_size_measured

@@ -24,6 +24,7 @@ from calichrome.rig import (
     rig_to_json,
     save_rig,
 )
+from calichrome.rig.evidence import CameraCovariance, load_evidence
 from calichrome.target import Target, target_from_json, target_to_json
 
 _LENS = BrownConrady(fx=610.1, fy=602.2, cx=322.3, cy=238.4, k1=-0.2, k2=0.08, p1=1e-3, k3=-0.01)
@@ -200,17 +201,61 @@ def test_keys_of_later_tools_do_not_disturb(rig: Rig, tmp_path: Path) -> None:
     assert rig_to_json(load_rig(path)) == rig_to_json(rig)
 
 
-def _evidence() -> Evidence:
+def _evidence(*, joint: bool = True) -> Evidence:
+    parameters = (*_LENS.NAMES, *(f"{kind}_{axis}" for kind in ("omega", "tau") for axis in "xyz"))
+    names = [(camera, name) for camera in ("left", "right") for name in parameters] + [("", "uu")]
     return Evidence(
         camera=("left", "right"),
         frame=("01", "01"),
-        corner=np.array([0.0, 5.0]),
+        corner=np.array([0, 5]),
         pixels=np.array([[1.5, 2.5], [3.5, 4.5]]),
         residuals_px=np.array([[0.1, -0.1], [0.2, 0.3]]),
+        cov_px=np.array([[0.01, 0.0, 0.02], [np.nan, np.nan, np.nan]]),
+        inlier=np.array([True, False]),
         lens_cov={"left": np.eye(9)},
         pose_cov={"right": 2 * np.eye(6)},
+        joint=CameraCovariance(
+            camera=tuple(camera for camera, _ in names),
+            parameter=tuple(name for _, name in names),
+            matrix=np.diag(np.arange(31.0)) + 0.5,
+        )
+        if joint
+        else None,
         sums={("left", "01"): "ab" * 32},
     )
+
+
+@pytest.mark.parametrize("joint", [True, False])
+def test_evidence_is_loaded_as_saved(*, joint: bool, rig: Rig, tmp_path: Path) -> None:
+    saved = _evidence(joint=joint)
+    save_rig(rig, saved, tmp_path / "rig.json")
+    read = load_evidence(tmp_path / "rig.npz")
+    assert (read.camera, read.frame, read.sums) == (saved.camera, saved.frame, saved.sums)
+    for name in ("corner", "pixels", "residuals_px", "cov_px", "inlier"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(saved, name))
+    assert read.inlier.dtype == bool
+    for kind in ("lens_cov", "pose_cov"):
+        before, after = getattr(saved, kind), getattr(read, kind)
+        assert set(after) == set(before)
+        for camera, cov in before.items():
+            np.testing.assert_array_equal(after[camera], cov)
+    if saved.joint is None:
+        assert read.joint is None
+        return
+    assert read.joint is not None
+    assert (read.joint.camera, read.joint.parameter) == (saved.joint.camera, saved.joint.parameter)
+    np.testing.assert_array_equal(read.joint.matrix, saved.joint.matrix)
+
+
+def test_joint_covariance_is_read_by_camera() -> None:
+    joint = _evidence().joint
+    assert joint is not None
+    # the matrix holds 0..30 on its diagonal and a half everywhere
+    np.testing.assert_array_equal(np.diag(joint.lens("left")), np.arange(9) + 0.5)
+    np.testing.assert_array_equal(np.diag(joint.pose("right")), np.arange(24, 30) + 0.5)
+    turned = joint.of("right", "left")
+    np.testing.assert_array_equal(np.diag(turned), np.r_[15:30, 0:15] + 0.5)
+    np.testing.assert_array_equal(turned[:15, 15:], 0.5)
 
 
 def test_evidence_lies_beside_and_needs_no_pickle(rig: Rig, tmp_path: Path) -> None:
@@ -220,7 +265,74 @@ def test_evidence_lies_beside_and_needs_no_pickle(rig: Rig, tmp_path: Path) -> N
         np.testing.assert_array_equal(arrays["pixels"], _evidence().pixels)
         np.testing.assert_array_equal(arrays["lens_cov/left"], np.eye(9))
         np.testing.assert_array_equal(arrays["pose_cov/right"], 2 * np.eye(6))
+        assert arrays["joint_cov"].shape == (31, 31)
+        assert arrays["joint_camera"].tolist().count("right") == 15
         assert arrays["sums"].tolist() == [["left", "01", "ab" * 32]]
+
+
+def _rewritten(rig: Rig, folder: Path, name: str, values: object) -> Path:
+    """Write rig.npz with one array replaced, or removed if it is `...`."""
+    save_rig(rig, _evidence(), folder / "rig.json")
+    with np.load(folder / "rig.npz", allow_pickle=False) as stored:
+        arrays: dict[str, Any] = {key: stored[key] for key in stored.files}
+    if values is ...:
+        del arrays[name]
+    else:
+        arrays[name] = values
+    np.savez(folder / "rig.npz", **arrays)
+    return folder / "rig.npz"
+
+
+@pytest.mark.parametrize("name", ["camera", "pixels", "cov_px", "inlier", "sums", "joint_camera"])
+def test_evidence_of_an_older_release_is_refused(name: str, rig: Rig, tmp_path: Path) -> None:
+    path = _rewritten(rig, tmp_path, name, ...)
+    with pytest.raises(FileFormatError, match=rf"rig\.npz: lacks '{name}'.*calibrate again"):
+        load_evidence(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("sums", np.array([["left", "01"]])),
+        ("camera", np.array([object()], dtype=object)),
+    ],
+)
+def test_evidence_of_another_shape_is_refused(
+    name: str, values: object, rig: Rig, tmp_path: Path
+) -> None:
+    path = _rewritten(rig, tmp_path, name, values)
+    with pytest.raises(FileFormatError, match=r"rig\.npz: is damaged"):
+        load_evidence(path)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.99])
+def test_evidence_cut_short_is_refused(share: float, rig: Rig, tmp_path: Path) -> None:
+    save_rig(rig, _evidence(), tmp_path / "rig.json")
+    path = tmp_path / "rig.npz"
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(FileFormatError, match=r"rig\.npz: is damaged"):
+        load_evidence(path)
+
+
+@pytest.mark.parametrize("place", [28, 250, 1826, 2149])
+def test_a_changed_byte_is_found(place: int, rig: Rig, tmp_path: Path) -> None:
+    """Each leaves another kind of damage: the archive's own sums must be looked at first."""
+    save_rig(rig, _evidence(), tmp_path / "rig.json")
+    path = tmp_path / "rig.npz"
+    data = bytearray(path.read_bytes())
+    data[place] ^= 0xFF
+    path.write_bytes(data)
+    with pytest.raises(FileFormatError, match=r"rig\.npz: is damaged"):
+        load_evidence(path)
+
+
+def test_absent_evidence_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match=r"cannot be read.*beside the rig"):
+        load_evidence(tmp_path / "rig.npz")
+    (tmp_path / "rig.npz").write_text("no archive")
+    with pytest.raises(FileFormatError, match="is damaged"):
+        load_evidence(tmp_path / "rig.npz")
 
 
 @pytest.mark.parametrize("there", ["rig.json", "rig.npz"])

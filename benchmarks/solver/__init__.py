@@ -1,0 +1,10 @@
+"""The joint solve against mrcal; benchmarks/README.md says how to run what.
+
+Modules that the other interpreter runs too (`exchange`, `mrcal_peer`) need numpy alone. CPU times
+are those of one thread: the settings below must precede the import of numpy.
+"""
+
+import os
+
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
