@@ -244,9 +244,7 @@ def _stack(
         pixels[place, :, length:] = view.pixels[0][:, None]
         if whitening is not None:
             own = np.eye(2)[None] if view.whitening is None else view.whitening
-            whitening[place, :, :, :length] = np.moveaxis(
-                np.broadcast_to(own, (length, 2, 2)), 0, 2
-            )
+            whitening[place, :, :, :length] = own.transpose(1, 2, 0)
     wrong = ((ids < 0) | (ids >= n_points)).any(axis=1) | ~np.isfinite(pixels).all(axis=(1, 2))
     if wrong.any():
         view = views[rows[int(wrong.argmax())]]

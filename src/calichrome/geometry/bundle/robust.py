@@ -98,7 +98,7 @@ def solve_robust(
         result = solve_bundle(
             observations.weighted(_scaled(observations, base, noise, kept)), state, free,
             priors=priors, damping=_NEAR if gate else 1e-4,
-            relative_decrease=_LOOSE if rough else 1e-10,
+            relative_decrease=1e-10, max_iterations=1 if rough else 100,
         )  # fmt: skip
         state = result.state
         lengths = _lengths(observations, base, state)
