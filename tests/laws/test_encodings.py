@@ -1,9 +1,18 @@
 """Transfer functions: exact inverses, no jumps, and the published numbers."""
 
+import json
+
 import numpy as np
 import pytest
 
-from calichrome.colorimetry.encoding import ENCODINGS, EncodingName, encode, linearise
+from calichrome.colorimetry.encoding import (
+    ENCODINGS,
+    EncodingName,
+    ToneCurve,
+    encode,
+    linear_table,
+    linearise,
+)
 from calichrome.core.arrays import FloatArray
 
 names = pytest.mark.parametrize("name", list(ENCODINGS))
@@ -87,3 +96,42 @@ def test_negative_light_stays_on_the_foot() -> None:
     np.testing.assert_allclose(encode(values, "srgb"), 12.92 * values)
     np.testing.assert_allclose(linearise(12.92 * values, "srgb"), values)
     np.testing.assert_allclose(encode(values, "rec709"), 4.5 * values)
+
+
+def _curve() -> ToneCurve:
+    stored = np.arange(65) / 64
+    powers = np.stack([stored**1.8, stored**2.2, 0.1 * stored + 0.9 * stored**3], axis=1)
+    return ToneCurve.from_table(stored, 5 * powers)
+
+
+def test_a_table_is_undone_by_its_inverse() -> None:
+    curve = _curve()
+    values = np.stack([np.arange(1001) / 1000] * 3, axis=-1)
+    np.testing.assert_allclose(curve.encode(curve.linearise(values)), values, atol=1e-12)
+    np.testing.assert_allclose(linearise(encode(values, curve), curve), values, atol=1e-12)
+    assert curve.linearise(np.ones(3)) == pytest.approx([1, 1, 1])
+
+
+def test_a_table_survives_its_file() -> None:
+    curve = _curve()
+    again = ToneCurve.from_json(json.loads(json.dumps(curve.to_json())))
+    np.testing.assert_array_equal(again.linear, curve.linear)
+    np.testing.assert_array_equal(again.sigma, curve.sigma)
+
+
+@pytest.mark.parametrize("encoding", ["srgb", "linear", _curve()])
+def test_linear_tables_hold_every_number(encoding: EncodingName | ToneCurve) -> None:
+    table = linear_table(encoding, 255)
+    number = np.array([[3, 77, 255], [0, 128, 254]])
+    expected = linearise(number / 255, encoding)
+    np.testing.assert_allclose(table[number, np.arange(3)], expected, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("stored", "linear"),
+    [([0, 0.5, 0.9], [0, 1, 2]), ([0, 0.5, 0.5, 1], [0, 1, 2, 3]), ([0, 0.5, 1], [0, 0, 1])],
+    ids=["not up to 1", "not increasing", "flat"],
+)
+def test_tables_that_are_no_curves_are_refused(stored: list[float], linear: list[float]) -> None:
+    with pytest.raises(ValueError, match="increase"):
+        ToneCurve.from_table(np.array(stored), np.array(linear))

@@ -100,6 +100,7 @@ class Corrector:
         self._source_map = source_map
         self._colour = camera.colour
         self._size_wh = camera.size_wh
+        self._gain = None if space == "none" else _gain(camera, source_map)
 
     def apply(self, image: Image) -> Pixels:
         """Return the corrected pixels.
@@ -128,6 +129,8 @@ class Corrector:
             widened = _widen(pixels, image.full_scale)
             table = _linear_table(image.encoding)
             linear = table[self._resample(widened)].astype(np.float64)
+        if self._gain is not None:
+            linear /= self._gain
         assert self._colour is not None  # noqa: S101 (checked at construction)
         xyz = self._colour.xyz_from_rgb(linear)
         return self._store(xyz, pixels.dtype)
@@ -152,6 +155,18 @@ class Corrector:
         if dtype == np.uint8 and self._space in _ENCODED:
             return np.rint(rgb * 255).astype(np.uint8)
         return np.rint(rgb * 65535).astype(np.uint16)
+
+
+def _gain(camera: Camera, source_map: SourceMap | None) -> SourceMap | None:
+    """Share of light that reaches each output pixel, (H, W, 3); None: not known."""
+    if camera.vignetting is None:
+        return None
+    if source_map is None:
+        return camera.vignetting.gain_map(camera.size_wh).astype(np.float32)
+    size_wh = np.array(camera.size_wh, dtype=np.float64)
+    # what comes from nowhere is black whatever it is divided by
+    inside = np.clip(source_map.astype(np.float64), 0, size_wh - 1)
+    return camera.vignetting.gain(inside).astype(np.float32)
 
 
 def _widen(pixels: Pixels, full_scale: float) -> NDArray[np.uint16]:

@@ -9,6 +9,7 @@ from calichrome.core.arrays import FloatArray, frozen
 
 __all__ = [
     "WAVELENGTHS_NM",
+    "cam16_ucs",
     "camera_sensitivities",
     "colour_checker_spectra",
     "illuminant",
@@ -73,3 +74,22 @@ def reflectance_to_xyz_d65(reflectance: FloatArray) -> FloatArray:
     """Integrate reflectances (..., 81) to XYZ under D65, Y = 1 for the perfect diffuser."""
     weights = observer() * illuminant("D65")[:, None]
     return np.asarray(reflectance @ weights / weights[:, 1].sum())
+
+
+def cam16_ucs(xyz: FloatArray, white: FloatArray) -> FloatArray:
+    """CAM16-UCS coordinates J', a', b' of (..., 3), Y = 1 for the perfect diffuser.
+
+    Average surround, adapting luminance 64 cd/m^2 over pi, background of 20 % (the conditions of
+    sRGB's viewing, IEC 61966-2-1).
+
+    References
+    ----------
+    .. [1] C. Li et al., "Comprehensive color solutions: CAM16, CAT16, and CAM16-UCS", Color Res.
+       Appl. 42 (6), 2017.
+    """
+    colour = _colour()
+    seen = colour.XYZ_to_CAM16(
+        100 * np.maximum(xyz, 0), 100 * white, 64 / np.pi * 0.2, 20.0,
+        surround=colour.VIEWING_CONDITIONS_CAM16["Average"],
+    )  # fmt: skip
+    return np.asarray(colour.JMh_CAM16_to_CAM16UCS(np.stack([seen.J, seen.M, seen.h], axis=-1)))

@@ -6,6 +6,8 @@ import numpy as np
 
 from calichrome.colorimetry.encoding import EncodingName
 from calichrome.colour.fit import ColourSolution, between_cameras
+from calichrome.colour.selection import Candidate
+from calichrome.colour.shading import Vignetting
 from calichrome.core.arrays import FloatArray
 from calichrome.core.findings import Finding
 from calichrome.core.pose import Pose
@@ -38,6 +40,7 @@ def assemble_rig(  # noqa: PLR0917 (one argument for each part that was solved)
     colours: Mapping[str, ColourSolution],
     encodings: Mapping[str, EncodingName | None],
     bits: Mapping[str, int | None],
+    vignettings: Mapping[str, Vignetting],
     findings: Sequence[Finding],
     world_from_ref: Pose,
     halves: Halves | None = None,
@@ -56,6 +59,8 @@ def assemble_rig(  # noqa: PLR0917 (one argument for each part that was solved)
         By camera; cameras without colour are absent.
     encodings, bits
         By camera; None where no picture was seen, or nothing was stated.
+    vignettings
+        By camera; cameras whose fall-off was not told are absent.
     findings
         All of them.
     world_from_ref
@@ -71,6 +76,7 @@ def assemble_rig(  # noqa: PLR0917 (one argument for each part that was solved)
             held_out[camera],
             _camera_colour(colours.get(camera), encodings[camera], bits[camera]),
             None if halves is None else halves.ratio(camera),
+            vignettings.get(camera),
         )
         for camera in solved.lenses
     }
@@ -95,13 +101,14 @@ def assemble_rig(  # noqa: PLR0917 (one argument for each part that was solved)
     )
 
 
-def _camera(
+def _camera(  # noqa: PLR0917 (all that is known of a camera)
     camera: str,
     solved: RigSolution,
     target: Target,
     held_out: float | None,
     colour: CameraColour | None,
     halves_ratio: float | None,
+    vignetting: Vignetting | None,
 ) -> Camera:
     lens, cov = solved.lenses[camera], solved.lens_cov[camera]
     size_wh = solved.dataset.sizes_wh[camera]
@@ -127,6 +134,7 @@ def _camera(
         held_out_rms_px=held_out,
         projection_sigma_px=None if cov is None else _projection_sigma(lens, cov, size_wh),
         halves_ratio=halves_ratio,
+        vignetting=vignetting,
         colour=colour,
     )
 
@@ -166,6 +174,7 @@ def _camera_colour(
     if solution is None:
         return None
     held_out = solution.held_out_delta_e[np.isfinite(solution.held_out_delta_e)]
+    uncertainty = solution.uncertainty_delta_e[np.isfinite(solution.uncertainty_delta_e)]
     return CameraColour(
         model=solution.model,
         encoding=encoding,
@@ -175,8 +184,32 @@ def _camera_colour(
             "fit_mean": float(np.nanmean(solution.fit_delta_e)),
             "held_out_mean": float(held_out.mean()),
             "held_out_p95": float(np.quantile(held_out, 0.95)),
+            "uncertainty_p95": float(uncertainty.mean()) if len(uncertainty) else None,
         },
+        candidates=tuple(_candidate(item) for item in solution.candidates),
     )
+
+
+def _candidate(item: Candidate) -> dict[str, object]:
+    """One row of rig.json's table of models; null where a model had too few colours."""
+    row: dict[str, object] = {"model": item.name, "why_not": item.why_not or None}
+    stability = item.stability
+    if item.model is None or stability is None:
+        return row
+    return row | {
+        "n_free": item.model.n_free,
+        "solver": "closed form",
+        "fit_mean": float(item.fit_delta_e.mean()),
+        "left_out_mean": item.mean,
+        "left_out_p95": float(np.quantile(item.left_out_delta_e, 0.95)),
+        "exposure_delta_e": stability.exposure_delta_e,
+        "gain": stability.gain if np.isfinite(stability.gain) else None,
+        "white_delta_e": stability.white_delta_e,
+        "grey_monotone": stability.grey_monotone,
+        "hue_reversals": stability.hue_reversals,
+        "farthest": stability.farthest,
+        "ns_per_pixel": item.ns_per_pixel,
+    }
 
 
 def gather_evidence(solved: RigSolution, target: Target) -> Evidence:

@@ -7,8 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from calichrome.colorimetry.encoding import EncodingName
-from calichrome.colour.fit import ColourSolution, fit_colour
-from calichrome.colour.samples import collect_samples
 from calichrome.core.arrays import FloatArray
 from calichrome.core.findings import Finding, finding
 from calichrome.core.pose import Pose
@@ -36,13 +34,9 @@ from calichrome.pipeline.detect import (
     require_boards,
     silent,
 )
-from calichrome.pipeline.judge import (
-    judge_colour,
-    judge_exposures,
-    judge_target,
-    judge_unknown_encodings,
-)
+from calichrome.pipeline.judge import judge_target, judge_unknown_encodings
 from calichrome.pipeline.judge_geometry import judge_geometry
+from calichrome.pipeline.solve_colour import ColourChoices, solve_colour
 from calichrome.pipeline.solve_geometry import GeometrySettings, solve_geometry
 from calichrome.pipeline.world import place_world
 from calichrome.rig import Evidence, Rig
@@ -52,7 +46,7 @@ __all__ = ["Calibration", "CalibrationSettings", "calibrate", "calibrate_dataset
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationSettings(GeometrySettings):
+class CalibrationSettings(GeometrySettings, ColourChoices):
     """How to calibrate.
 
     Parameters
@@ -298,15 +292,15 @@ def _calibrate(
         encodings |= {camera: _encoding_of(recording, camera) for camera in dataset.cameras}
         bits |= {camera: recording.entry(camera).bits for camera in dataset.cameras}
         findings += judge_unknown_encodings(recording, encodings)
-    colours, colour_findings = _solve_colour(dataset, target, encodings)
-    findings += colour_findings
+    colour = solve_colour(dataset, target, solved, encodings, settings.colour_settings())
+    findings += colour.findings
 
     world_from_ref = place_world(
         solved, target.corners_board, frame=settings.world_frame, points=settings.world_points
     )
     rig = assemble_rig(
-        solved, target, geometry.held_out, colours, encodings, bits, findings, world_from_ref,
-        geometry.halves,
+        solved, target, geometry.held_out, colour.solutions, encodings, bits, colour.vignettings,
+        findings, world_from_ref, geometry.halves,
     )  # fmt: skip
     return Calibration(
         rig=rig,
@@ -354,24 +348,3 @@ def _projection(lens: Lens, cam_from_board: Pose) -> BoardToPixels:
         return lens.project(cam_from_board.apply(points_board))
 
     return to_pixels
-
-
-def _solve_colour(
-    dataset: Dataset, target: Target, encodings: Mapping[str, EncodingName | None]
-) -> tuple[dict[str, ColourSolution], list[Finding]]:
-    """Fit every camera whose pictures show the discs in colour."""
-    if not target.markers:
-        return {}, []
-    samples = {camera: collect_samples(views) for camera, views in dataset.views.items()}
-    solutions: dict[str, ColourSolution] = {}
-    findings = list(judge_exposures(dataset, samples))
-    for camera, item in samples.items():
-        why = "its pictures are grey, or every white square is clipped"
-        fitted = why if item is None else fit_colour(item, target)
-        if isinstance(fitted, str):
-            text = f"Camera {camera}: colour was not calibrated, since {fitted}."
-            findings.append(finding("colour_not_calibrated", text, camera=camera))
-        else:
-            solutions[camera] = fitted
-            findings += judge_colour(camera, fitted, encodings[camera], target)
-    return solutions, findings

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from calichrome._version import __version__
 from calichrome.colour.models import MODELS
+from calichrome.colour.shading import Vignetting
 from calichrome.core.arrays import FloatArray
 from calichrome.core.files import refuse_existing, writing_file
 from calichrome.core.findings import Finding, Severity
@@ -61,6 +62,7 @@ class _DeltaEFile(_Base):
     fit_mean: float
     held_out_mean: float
     held_out_p95: float
+    uncertainty_p95: float | None = None
 
 
 class _ColourFile(_Base):
@@ -257,7 +259,7 @@ def _camera_to_json(camera: Camera) -> dict[str, Any]:
         if camera.projection_sigma_px is None
         else dict(zip(("rms", "max"), camera.projection_sigma_px, strict=True)),
         "halves_ratio": camera.halves_ratio,
-        "vignetting": None,
+        "vignetting": None if camera.vignetting is None else camera.vignetting.to_json(),
         "colour": None
         if colour is None
         else {
@@ -266,7 +268,7 @@ def _camera_to_json(camera: Camera) -> dict[str, Any]:
             "parameters": colour.model.to_json(),
             "white": {"rgb": colour.white_rgb.tolist()},
             "delta_e_2000": dict(colour.delta_e_2000),
-            "candidates": [],
+            "candidates": [dict(item) for item in colour.candidates],
         },
     }
 
@@ -334,6 +336,7 @@ def _camera(file: _CameraFile) -> Camera:
         if file.projection_sigma_px is None
         else (file.projection_sigma_px.rms, file.projection_sigma_px.max),
         halves_ratio=file.halves_ratio,
+        vignetting=None if file.vignetting is None else Vignetting.from_json(file.vignetting),
         colour=None if file.colour is None else _colour(file.colour),
     )
 
@@ -350,5 +353,7 @@ def _colour(file: _ColourFile) -> CameraColour:
             "fit_mean": file.delta_e_2000.fit_mean,
             "held_out_mean": file.delta_e_2000.held_out_mean,
             "held_out_p95": file.delta_e_2000.held_out_p95,
+            "uncertainty_p95": file.delta_e_2000.uncertainty_p95,
         },
+        candidates=tuple(file.candidates),
     )

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calichrome.colorimetry.encoding import EncodingName
-from calichrome.colour.models import ColourModel
+from calichrome.colour.model import ColourModel
+from calichrome.colour.shading import Vignetting
 from calichrome.core.arrays import FloatArray
 from calichrome.core.findings import Finding
 from calichrome.core.pose import Pose
@@ -26,7 +27,8 @@ class CameraColour:
     Parameters
     ----------
     model
-        Linear RGB to XYZ under D65.
+        Linear RGB to XYZ under D65, once the fall-off of the lens is divided out
+        (`Camera.vignetting`).
     encoding
         How the camera's files store light; None if no picture was seen (calibrated from corners):
         then each file is read by its depth.
@@ -35,14 +37,19 @@ class CameraColour:
     white_rgb : (3,) float
         Linear camera value of the target's white squares in the reference light.
     delta_e_2000
-        fit_mean, held_out_mean, held_out_p95 against the target.
+        fit_mean, held_out_mean, held_out_p95 against the target; uncertainty_p95: what noise and
+        print tolerance let a disc be off by in 95 of 100 cases, mean over discs, None if that was
+        not estimated.
+    candidates
+        Every model that was tried, with its numbers and why it lost.
     """
 
     model: ColourModel
     encoding: EncodingName | None
     white_rgb: FloatArray
-    delta_e_2000: Mapping[str, float]
+    delta_e_2000: Mapping[str, float | None]
     bits: int | None = None
+    candidates: tuple[Mapping[str, object], ...] = ()
 
     def xyz_from_rgb(self, rgb: FloatArray) -> FloatArray:
         """XYZ under D65, Y = 1 for the perfect diffuser, of linear RGB (..., 3), 0..1."""
@@ -77,6 +84,8 @@ class Camera:
     halves_ratio
         By how much more than their covariances say two halves of the frames differ, in projection;
         None if that was not told.
+    vignetting
+        Share of light that reaches each pixel; None if it was not told from the lamps'.
     """
 
     size_wh: tuple[int, int]
@@ -93,6 +102,7 @@ class Camera:
     colour: CameraColour | None = None
     projection_sigma_px: tuple[float, float] | None = None
     halves_ratio: float | None = None
+    vignetting: Vignetting | None = None
 
     def project(self, points_ref: FloatArray) -> FloatArray:
         """Pixels (N, 2) of points (N, 3) in ref, metres; nan behind the camera."""

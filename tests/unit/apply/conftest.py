@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calichrome.colour.models import Linear
+from calichrome.colour.models.linear import Linear
 from calichrome.core.pose import Pose
 from calichrome.geometry.lenses import BrownConrady
 from calichrome.rig import Camera, CameraColour
@@ -31,7 +31,7 @@ def camera() -> Camera:
         n_corners=600,
         rms_px=0.1,
         colour=CameraColour(
-            model=Linear(_XYZ_FROM_RGB),
+            model=Linear.from_matrix(_XYZ_FROM_RGB),
             encoding="srgb",
             white_rgb=np.ones(3),
             delta_e_2000={"fit_mean": 1.0, "held_out_mean": 1.2, "held_out_p95": 2.0},

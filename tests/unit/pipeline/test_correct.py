@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calichrome.apply import OutputSpace
-from calichrome.colour.models import Linear
+from calichrome.colour.models.linear import Linear
 from calichrome.core.pose import Pose
 from calichrome.errors import CalichromeError, OutputError, RecordingError
 from calichrome.geometry.lenses import BrownConrady
@@ -35,7 +35,7 @@ def rig() -> Rig:
         n_corners=600,
         rms_px=0.1,
         colour=CameraColour(
-            model=Linear(np.eye(3)),
+            model=Linear.from_matrix(np.eye(3)),
             encoding="linear",
             white_rgb=np.ones(3),
             delta_e_2000={"fit_mean": 1.0, "held_out_mean": 1.0, "held_out_p95": 1.0},

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calichrome.colour.models import Linear
+from calichrome.colour.models.linear import Linear
 from calichrome.core.findings import finding
 from calichrome.core.pose import Pose
 from calichrome.errors import FileFormatError, OutputError
@@ -33,7 +33,7 @@ _LENS = BrownConrady(fx=610.1, fy=602.2, cx=322.3, cy=238.4, k1=-0.2, k2=0.08, p
 @pytest.fixture
 def rig(standard_target: Target) -> Rig:
     colour = CameraColour(
-        model=Linear(np.array([[0.5, 0.3, 0.2], [0.2, 0.7, 0.1], [0.0, 0.1, 0.9]])),
+        model=Linear.from_matrix(np.array([[0.5, 0.3, 0.2], [0.2, 0.7, 0.1], [0.0, 0.1, 0.9]])),
         encoding="srgb",
         white_rgb=np.array([0.7, 0.8, 0.6]),
         delta_e_2000={"fit_mean": 0.9, "held_out_mean": 1.1, "held_out_p95": 2.5},

@@ -1,59 +1,95 @@
-"""A 3x3 matrix: exact for a camera whose sensitivities are mixtures of the observer's."""
+"""Matrices: exact for a camera whose sensitivities are mixtures of the observer's."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
 
-from calichrome.core.arrays import FloatArray, checked, frozen
+from calichrome.colour.model import TermModel, to_floats
+from calichrome.core.arrays import FloatArray
 
-__all__ = ["Linear"]
+__all__ = ["Affine", "Linear", "LinearWhite"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Linear:
-    """``xyz = matrix @ rgb``.
+class Linear(TermModel):
+    """``xyz = matrix @ rgb``: nine numbers."""
 
-    Parameters
-    ----------
-    matrix : (3, 3) float
-    """
-
-    matrix: FloatArray
-
+    __slots__ = ()
     MODEL: ClassVar[str] = "linear"
     MIN_COLOURS: ClassVar[int] = 3
+    WHITE_EXACT: ClassVar[bool] = False
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "matrix", frozen(checked(self.matrix, (3, 3), "matrix")))
+    @classmethod
+    def from_matrix(cls, matrix: FloatArray) -> Self:
+        """Build it from ``xyz = matrix @ rgb``, (3, 3)."""
+        return cls(np.ones(3), np.ones(3), np.asarray(matrix, dtype=np.float64).T)
 
     @property
-    def n_free(self) -> int:
-        """Number of fitted parameters."""
-        return 9
+    def matrix(self) -> FloatArray:
+        """From camera RGB to XYZ, (3, 3)."""
+        return np.asarray(self.white_xyz[:, None] * self.coefficients.T / self.white_rgb)
 
-    def apply(self, rgb_linear: FloatArray) -> FloatArray:
-        """Map colours of shape (..., 3)."""
-        return np.asarray(rgb_linear @ self.matrix.T)
+    @classmethod
+    def terms(cls, balanced: FloatArray) -> FloatArray:
+        """R, G, B."""
+        return balanced
+
+    @classmethod
+    def slopes(cls, balanced: FloatArray) -> FloatArray:
+        """Return d terms / d balanced, (..., 3, 3)."""
+        return np.broadcast_to(np.eye(3), (*balanced.shape, 3))
 
     def to_json(self) -> dict[str, object]:
-        """Parameters for rig.json."""
+        """Parameters for rig.json: the matrix alone."""
         return {"matrix": self.matrix.tolist()}
 
     @classmethod
     def from_json(cls, parameters: Mapping[str, object]) -> Self:
         """Read back what `to_json` wrote."""
-        return cls(np.asarray(parameters["matrix"], dtype=np.float64))
+        return cls.from_matrix(to_floats(parameters["matrix"]))
+
+
+class LinearWhite(TermModel):
+    """A matrix that keeps white: six numbers.
+
+    References
+    ----------
+    .. [1] G. D. Finlayson, M. S. Drew, "Constrained least-squares regression in color spaces",
+       J. Electronic Imaging 6 (4), 1997.
+    """
+
+    __slots__ = ()
+    MODEL: ClassVar[str] = "linear-white"
+    MIN_COLOURS: ClassVar[int] = 2
 
     @classmethod
-    def fit(cls, rgb_linear: FloatArray, xyz: FloatArray) -> Self:
-        """Least squares in XYZ.
+    def terms(cls, balanced: FloatArray) -> FloatArray:
+        """R - G and B - G."""
+        return np.asarray(balanced[..., [0, 2]] - balanced[..., 1:2])
 
-        Parameters
-        ----------
-        rgb_linear : (N, 3) float, 0..1 of full scale
-        xyz : (N, 3) float, Y = 1 for the perfect diffuser
-        """
-        solution, *_ = np.linalg.lstsq(rgb_linear, xyz, rcond=None)
-        return cls(np.asarray(solution.T, dtype=np.float64))
+    @classmethod
+    def slopes(cls, balanced: FloatArray) -> FloatArray:
+        """Return d terms / d balanced, (..., 2, 3)."""
+        return np.broadcast_to(
+            np.array([[1.0, -1.0, 0.0], [0.0, -1.0, 1.0]]), (*balanced.shape[:-1], 2, 3)
+        )
+
+
+class Affine(TermModel):
+    """A matrix and an offset (flare, a wrong black level): twelve numbers."""
+
+    __slots__ = ()
+    MODEL: ClassVar[str] = "affine"
+    MIN_COLOURS: ClassVar[int] = 4
+    HOMOGENEOUS: ClassVar[bool] = False
+    WHITE_EXACT: ClassVar[bool] = False
+
+    @classmethod
+    def terms(cls, balanced: FloatArray) -> FloatArray:
+        """R, G, B, 1."""
+        return np.concatenate([balanced, np.ones_like(balanced[..., :1])], axis=-1)
+
+    @classmethod
+    def slopes(cls, balanced: FloatArray) -> FloatArray:
+        """Return d terms / d balanced, (..., 4, 3)."""
+        return np.broadcast_to(np.eye(4, 3), (*balanced.shape[:-1], 4, 3))

@@ -1,0 +1,129 @@
+"""Least squares for models that are linear in their parameters.
+
+The errors of X, Y and Z are weighed together (a small error in the description space couples them),
+so all 3 P coefficients are solved at once:
+
+    minimise  sum_i |W_i^(1/2) (t_i - b_i - C' phi_i)|^2  +  s sum_k |W_mean^(1/2) c_k|^2 p_k
+
+over the rows c_k of C, with phi the terms, b the base, and p_k > 0 for the terms that are drawn
+towards 0. The strength s is the one with the smallest leave-one-out error in the description space.
+"""
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from scipy.linalg import eigh
+
+from calichrome.colour.model import TermModel
+from calichrome.colour.pairs import ColourPairs
+from calichrome.core.arrays import FloatArray
+
+__all__ = ["Regression", "fit_terms"]
+
+_STRENGTHS = 10.0 ** np.arange(-5, 2.01, 0.5)
+"""Of the pull, relative to what the data say of the mean term: from none to a matrix."""
+_REFINEMENTS = 8  # of the mean error instead of the squared one; changes fall below 0.01 dE
+_SMALLEST = 0.1  # dE: errors below it all count alike, or one exact colour would hold the fit
+
+_TINY = 1e-9  # keeps the leave-one-out error of a colour finite that alone fixes a term
+
+Model = TypeVar("Model", bound=TermModel)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Regression:
+    """A solved model and what it hangs on.
+
+    Parameters
+    ----------
+    coefficients : (P, 3) float
+    gain : (P, 3, N, 3) float
+        d coefficients / d relative target of each colour: the estimator itself.
+    strength
+        Of the pull; 0 where nothing is drawn.
+    left_out : (N, 3) float
+        What each relative target is predicted as by the others.
+    """
+
+    coefficients: FloatArray
+    gain: FloatArray
+    strength: float
+    left_out: FloatArray
+
+
+def fit_terms(
+    model: type[Model], pairs: ColourPairs, *, mean_error: bool = False
+) -> tuple[Model, Regression]:
+    """Fit a term model.
+
+    Parameters
+    ----------
+    model
+        Its class.
+    pairs
+        At least `model.MIN_COLOURS` colours.
+    mean_error
+        Minimise the mean difference in the description space instead of the squared one.
+
+    Raises
+    ------
+    ValueError
+        With fewer colours.
+
+    Notes
+    -----
+    The mean is reached by reweighting: a square divided by its own size is the size (E. Weiszfeld,
+    Tohoku Math. J. 43, 1937).
+    """
+    if len(pairs) < model.MIN_COLOURS:
+        raise ValueError(f"{model.MODEL} needs {model.MIN_COLOURS} colours, got {len(pairs)}")
+    terms = model.terms(pairs.balanced)
+    base = pairs.balanced[:, 1:2] if model.WHITE_EXACT else np.zeros((1, 1))
+    whitening = pairs.whitening
+    solved = _solve(terms, pairs, base, whitening, model.N_SHRUNK)
+    if mean_error:
+        for _ in range(_REFINEMENTS):
+            fitted = (base + terms @ solved.coefficients) * pairs.white_xyz
+            error = pairs.difference(fitted)
+            weighted = whitening / np.maximum(error, _SMALLEST)[:, None, None]
+            solved = _solve(terms, pairs, base, weighted, model.N_SHRUNK)
+    return model(pairs.white_rgb, pairs.white_xyz, solved.coefficients), solved
+
+
+def _solve(
+    terms: FloatArray, pairs: ColourPairs, base: FloatArray, whitening: FloatArray, n_shrunk: int
+) -> Regression:
+    n, n_terms = terms.shape
+    wanted = pairs.relative - base
+    # rows of the design: colour i, channel j; columns: term k, channel l
+    normal = np.einsum("nk,nij,nl->kilj", terms, whitening, terms).reshape(3 * n_terms, -1)
+    pulled = np.zeros(n_terms)
+    pulled[n_terms - n_shrunk :] = 1.0
+    mean = whitening.mean(axis=0)
+    own = np.einsum("nk,nk->k", terms, terms)[n_terms - n_shrunk :].mean() if n_shrunk else 0.0
+    pull = np.kron(np.diag(pulled * own), mean)
+    total = normal + pull
+    total[np.diag_indices(len(total))] *= 1 + 1e-12  # colours that repeat leave a direction open
+    # both matrices at once: V' (A + P) V = 1, V' P V = diag(d), so A + s P is diagonal in V as well
+    share, vectors = eigh(pull, total)
+    by_colour = np.einsum("nk,kjv->njv", terms, vectors.reshape(n_terms, 3, -1))
+    weighted = np.einsum("nij,njv->niv", whitening, by_colour)
+    side = np.einsum("niv,ni->v", weighted, wanted)
+    strengths = _STRENGTHS if n_shrunk else np.ones(1)
+    scales = 1 / np.maximum(1 + (strengths[:, None] - 1) * share, 1e-12)
+    residuals = wanted - np.einsum("njv,sv->snj", by_colour, scales * side)
+    leverage = np.einsum("niv,sv,njv->snij", by_colour, scales, weighted, optimize=True)
+    gap = (1 + _TINY) * np.eye(3) - leverage
+    left_out = base + wanted - np.linalg.solve(gap, residuals[..., None])[..., 0]
+    errors = pairs.difference(left_out * pairs.white_xyz)
+    best = int(np.argmin(errors @ pairs.weights))
+    scale, strength = scales[best], float(strengths[best])
+    gain = np.einsum("av,v,niv->ani", vectors, scale, weighted).reshape(n_terms, 3, n, 3)
+    coefficients = (vectors @ (scale * side)).reshape(n_terms, 3)
+    return Regression(
+        coefficients=coefficients,
+        gain=gain,
+        strength=strength if n_shrunk else 0.0,
+        left_out=left_out[best],
+    )

@@ -1,0 +1,174 @@
+"""Choose a model: the smallest leave-one-out error among those that are stable."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import process_time_ns
+
+import numpy as np
+
+from calichrome.colour.families import fit_model, leave_one_out, needed_colours
+from calichrome.colour.model import ColourModel
+from calichrome.colour.models import MODELS
+from calichrome.colour.pairs import ColourPairs
+from calichrome.colour.stability import Stability, judge_stability
+from calichrome.core.arrays import FloatArray
+
+__all__ = ["AUTO", "Candidate", "Selection", "select_model"]
+
+AUTO = tuple(MODELS)
+"""Models that `select_model` tries unless told otherwise: all."""
+
+_PIXELS = 2000  # to time a model on: some tenths of a millisecond
+_SIMPLER = 0.25  # standard errors of the paired difference; DESIGN's rule
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Candidate:
+    """A model that was tried.
+
+    Parameters
+    ----------
+    model
+        None if there were too few colours.
+    fitted, left_out : (N, 3) float
+        XYZ of each colour by the model fitted to all, and by one fitted to the others.
+    fit_delta_e, left_out_delta_e : (N,) float
+        Their differences from the targets in the description space.
+    stability
+        None if there were too few colours.
+    ns_per_pixel
+        Time that numpy takes to apply it, CPU nanoseconds; nan if there were too few colours.
+    why_not
+        Why it lost; empty for the winner.
+    """
+
+    name: str
+    model: ColourModel | None
+    fitted: FloatArray
+    left_out: FloatArray
+    fit_delta_e: FloatArray
+    left_out_delta_e: FloatArray
+    stability: Stability | None
+    ns_per_pixel: float
+    why_not: str
+
+    @property
+    def mean(self) -> float:
+        """Mean leave-one-out error."""
+        return float(self.left_out_delta_e.mean())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Selection:
+    """The model chosen, and the others."""
+
+    best: Candidate
+    candidates: tuple[Candidate, ...]
+
+
+def select_model(
+    pairs: ColourPairs, names: Sequence[str] = AUTO, *, mean_error: bool = False
+) -> Selection | str:
+    """Try models and choose one.
+
+    Parameters
+    ----------
+    pairs
+        All different colours.
+    names
+        Of `MODELS`. One name alone is taken whatever its stability.
+    mean_error
+        As in `fit_model`.
+
+    Returns
+    -------
+    Selection or str
+        The sentence says why nothing can be fitted.
+
+    Notes
+    -----
+    A simpler model replaces the one of smallest error if the paired difference of their errors is
+    below a quarter of its standard error: then the data do not tell them apart.
+    """
+    tried = [_try(name, pairs, mean_error=mean_error) for name in names]
+    fitted = [item for item in tried if item.model is not None]
+    if not fitted:
+        least = min(needed_colours(name) for name in names)
+        return f"only {len(pairs)} different colours are usable, a fit needs {least}"
+    allowed = [item for item in fitted if len(names) == 1 or not _faults(item)]
+    if not allowed:
+        return "no model is stable on these colours: " + "; ".join(
+            f"{item.name} {_faults(item)}" for item in fitted
+        )
+    weights = pairs.weights / pairs.weights.sum()
+    best = min(allowed, key=lambda item: float(item.left_out_delta_e @ weights))
+    smallest = best
+    for item in sorted(allowed, key=_n_free):
+        if _n_free(item) >= _n_free(best):
+            break
+        if _as_good(item.left_out_delta_e - best.left_out_delta_e):
+            smallest = item
+            break
+    return Selection(
+        best=smallest,
+        candidates=tuple(_verdict(item, smallest, best) for item in tried),
+    )
+
+
+def _try(name: str, pairs: ColourPairs, *, mean_error: bool) -> Candidate:
+    if len(pairs) < needed_colours(name):
+        none = np.full(len(pairs), np.nan)
+        return Candidate(
+            name=name, model=None, fitted=none, left_out=none, fit_delta_e=none,
+            left_out_delta_e=none, stability=None,
+            ns_per_pixel=float("nan"),
+            why_not=f"needs {needed_colours(name)} colours",
+        )  # fmt: skip
+    model = fit_model(name, pairs, mean_error=mean_error)
+    fitted = model.apply(pairs.rgb)
+    left_out = leave_one_out(name, pairs, mean_error=mean_error)
+    return Candidate(
+        name=name,
+        model=model,
+        fitted=fitted,
+        left_out=left_out,
+        fit_delta_e=pairs.difference(fitted),
+        left_out_delta_e=pairs.difference(left_out),
+        stability=judge_stability(model, pairs),
+        ns_per_pixel=_speed(model, pairs),
+        why_not="",
+    )
+
+
+def _speed(model: ColourModel, pairs: ColourPairs) -> float:
+    colours = np.resize(pairs.rgb, (_PIXELS, 3))
+    start = process_time_ns()
+    model.apply(colours)
+    return (process_time_ns() - start) / _PIXELS
+
+
+def _faults(item: Candidate) -> str:
+    return "" if item.stability is None else ", ".join(item.stability.faults)
+
+
+def _n_free(item: Candidate) -> int:
+    return 0 if item.model is None else item.model.n_free
+
+
+def _as_good(paired: FloatArray) -> bool:
+    standard_error = float(paired.std(ddof=1) / np.sqrt(len(paired))) if len(paired) > 1 else 0.0
+    return float(paired.mean()) < _SIMPLER * standard_error
+
+
+def _verdict(item: Candidate, chosen: Candidate, smallest: Candidate) -> Candidate:
+    why = item.why_not
+    if item is chosen:
+        why = ""
+    elif not why:
+        why = _faults(item)
+    if not why and item is not chosen:
+        if item is smallest:
+            why = f"not surely better than {chosen.name}, which is simpler"
+        else:
+            why = f"error larger by {item.mean - smallest.mean:.2f}"
+    return replace(item, why_not=why)
