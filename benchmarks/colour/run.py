@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 from benchmarks.colour import ours
+from benchmarks.colour.fuzz import print_fuzz
 from benchmarks.colour.peers import LEAST_SQUARES, PEERS, NotRunError
 from benchmarks.colour.problems import ColourProblem, lit_chart, noisy, problems
 from benchmarks.colour.scoring import (
@@ -53,6 +54,7 @@ class _Bench:
     draws: int
     every_camera: bool
     looks: int
+    points: int
     chromacal_python: Path | None
 
     @cached_property
@@ -69,6 +71,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--looks", type=int, default=5, help="random curves and webcams of part tone"
     )
+    parser.add_argument("--points", type=int, default=1_000_000, help="of part fuzz, each pair")
     parser.add_argument("--cameras", choices=("3", "all"), default="all", help="of part pairs")
     parser.add_argument("--methods", help="those whose names hold one of these words, and 3x3")
     parser.add_argument(
@@ -89,7 +92,14 @@ def main(argv: Sequence[str] | None = None) -> None:
             if name == LEAST_SQUARES or any(word in name for word in words)
         }
     every = options.cameras == "all"
-    bench = _Bench(methods, options.draws, every, options.looks, options.chromacal_python)
+    bench = _Bench(
+        methods=methods,
+        draws=options.draws,
+        every_camera=every,
+        looks=options.looks,
+        points=options.points,
+        chromacal_python=options.chromacal_python,
+    )
     bars = [bar for name in wanted for bar in _PARTS[name](bench)]
     if bars:
         print_bars(bars)
@@ -243,12 +253,17 @@ def _print_tone(bench: _Bench) -> list[Bar]:
     return print_tone(ours.TONE_METHODS, bench.chromacal_python, bench.looks)
 
 
+def _print_fuzz(bench: _Bench) -> list[Bar]:
+    return print_fuzz(bench.three_cameras, bench.points)
+
+
 _PARTS: Mapping[str, Callable[[_Bench], list[Bar]]] = MappingProxyType(
     {
         "noise-free": _print_noise_free,
         "noise": _print_noisy,
         "light": _print_light,
         "pairs": _print_pairs,
+        "fuzz": _print_fuzz,
         "tone": _print_tone,
     }
 )

@@ -235,13 +235,14 @@ def _card_errors(studio: Studio, look: Look, python: Path | None) -> dict[str, F
     means, white_xyz, t190 = card_means(picture), problem.white_xyz, problem.tests["t190"]
     test = ColourSet(look.of_even(CARD_LEVEL * t190.rgb), t190.xyz)
     affine = affine_of_coded(means, problem.train.xyz, white_xyz)
+    readers: Mapping[str, Callable[[], Apply]] = {
+        "chromacal, from the card": lambda: chromacal(python, picture),
+        "PlantCV's way, from the card": lambda: affine,
+    }
     found: dict[str, FloatArray | None] = {}
-    for name, apply in (
-        ("chromacal, from the card", chromacal(python, picture)),
-        ("PlantCV's way, from the card", affine),
-    ):
+    for name, reader in readers.items():
         try:
-            found[name] = errors(apply, test, white_xyz)
+            found[name] = errors(reader(), test, white_xyz)
         except NotRunError:
             found[name] = None
     return found

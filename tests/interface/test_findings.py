@@ -16,18 +16,21 @@ import pytest
 from PIL import ExifTags
 from PIL import Image as PillowImage
 
+from calichrome.colorimetry.encoding import EncodingName, ToneCurve
+from calichrome.colour.fit import ColourSettings
 from calichrome.core.arrays import FloatArray
 from calichrome.core.findings import SEVERITIES, Finding
 from calichrome.core.pose import Pose
 from calichrome.geometry.lenses import BrownConrady
 from calichrome.geometry.rig_solve import solve_rig
 from calichrome.observations import BoardView, Dataset, DiscSamples
-from calichrome.pipeline.calibrate import _solve_colour, calibrate_dataset
+from calichrome.pipeline.calibrate import calibrate_dataset
 from calichrome.pipeline.detect import _file_findings
 from calichrome.pipeline.detection_cache import Seen
 from calichrome.pipeline.judge import judge_target
 from calichrome.pipeline.judge_geometry import judge_geometry
-from calichrome.pipeline.solve_geometry import SolvedGeometry
+from calichrome.pipeline.solve_colour import solve_colour
+from calichrome.pipeline.solve_geometry import GeometrySettings, SolvedGeometry, solve_geometry
 from calichrome.synthetic import random_scene, write_recording
 from calichrome.target import Paper, Target, chessboard
 
@@ -299,9 +302,11 @@ def _with_discs(
 
 
 def _judged_colour(dataset: Dataset, target: Target) -> list[Finding]:
-    """Judge target and colours; the solve of the geometry has nothing to add."""
-    _, findings = _solve_colour(dataset, target, dict.fromkeys(dataset.cameras, "srgb"))
-    return [*judge_target(target), *findings]
+    """Judge target and colours; of the geometry only the poses count."""
+    solved = solve_geometry(dataset, target, GeometrySettings(), fixed={}, lenses={}).solution
+    encodings: dict[str, EncodingName | ToneCurve | None] = dict.fromkeys(dataset.cameras, "srgb")
+    colour = solve_colour(dataset, target, solved, encodings, ColourSettings())
+    return [*judge_target(target), *colour.findings]
 
 
 @pytest.fixture(scope="module")
@@ -404,10 +409,22 @@ def test_encoding_doubtful_fires(colour_board: Target, rng: np.random.Generator)
 def test_encoding_doubtful_fires_on_pictures(cli: Cli, small: Small, tmp_path: Path) -> None:
     folder = small(3)
     fires = {}
-    for encoding in ("linear", "unknown", "srgb"):  # they are sRGB
+    for encoding in ("linear", "srgb"):  # they are sRGB
         (folder / "recording.toml").write_text(f'encoding = "{encoding}"\n')
         fires[encoding] = bool(_of(_calibrated(cli, folder, tmp_path), "encoding_doubtful"))
-    assert fires == {"linear": True, "unknown": True, "srgb": False}
+    assert fires == {"linear": True, "srgb": False}
+
+
+def test_encoding_estimated_fires(cli: Cli, small: Small, tmp_path: Path) -> None:
+    folder = small(3)
+    (folder / "recording.toml").write_text('encoding = "unknown"\n')
+    rig = _calibrated(cli, folder, tmp_path)
+    assert _of(rig, "encoding_estimated")
+    assert {camera["colour"]["encoding"]["name"] for camera in rig["cameras"].values()} == {"srgb"}
+
+
+def test_encoding_estimated_does_not_fire(quiet_colour: tuple[Finding, ...]) -> None:
+    assert "encoding_estimated" not in _codes(quiet_colour)
 
 
 def test_encoding_doubtful_does_not_fire(

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calichrome.colorimetry.encoding import EncodingName, encode, linearise
+from calichrome.colorimetry.encoding import EncodingName, ToneCurve, encode, linearise
 from calichrome.colorimetry.rgb_spaces import RGB_FROM_XYZ
 from calichrome.core.arrays import FloatArray
 from calichrome.errors import CalichromeError
@@ -123,7 +123,12 @@ class Corrector:
             return self._resample(pixels)
         if not image.is_colour:
             raise CalichromeError("the picture is grey; use --colour none")
-        if pixels.dtype == np.float32:
+        assert self._colour is not None  # noqa: S101 (checked at construction)
+        curve = self._colour.encoding
+        if isinstance(curve, ToneCurve):
+            full_scale = 1.0 if pixels.dtype == np.float32 else image.full_scale
+            linear = curve.linearise(self._resample(pixels.astype(np.float32)) / full_scale)
+        elif pixels.dtype == np.float32:
             linear = linearise(self._resample(pixels).astype(np.float64), image.encoding)
         else:
             widened = _widen(pixels, image.full_scale)
@@ -131,7 +136,6 @@ class Corrector:
             linear = table[self._resample(widened)].astype(np.float64)
         if self._gain is not None:
             linear /= self._gain
-        assert self._colour is not None  # noqa: S101 (checked at construction)
         xyz = self._colour.xyz_from_rgb(linear)
         return self._store(xyz, pixels.dtype)
 

@@ -20,7 +20,7 @@ __all__ = ["Check"]
 
 @dataclass(frozen=True, kw_only=True)
 class Check(Command):
-    """Tell from one new picture per camera whether a camera moved or a lens changed."""
+    """Tell from one new picture per camera whether a camera moved, its lens or colour changed."""
 
     rig: Positional[Path]
     """rig.json; rig.npz beside it says how sure the calibration is."""

@@ -7,11 +7,14 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional
 
+from calichrome.cli.palette import judged_palette, palette_lines, palette_to_json
 from calichrome.cli.terminal import Command, Flag, Output
 from calichrome.core.files import check_output, writing_file
 from calichrome.core.units import parse_length, parse_lengths
 from calichrome.errors import TargetError
+from calichrome.pipeline.scene_palette import scene_palette
 from calichrome.target import (
+    PaletteColour,
     SquareColour,
     check_target,
     colour_checker_palette,
@@ -62,6 +65,8 @@ class TargetMake(Command):
     """A4 to A0, letter, tabloid, or WIDTHxHEIGHTmm."""
     palette: Path | None = None
     """CSV of colours (name and X,Y,Z or L,a,b); default: the 24 of the ColorChecker."""
+    for_scene: Path | None = None
+    """Picture or folder of white-balanced pictures: choose printable colours that cover theirs."""
     plain: Flag = False
     """A chessboard without colours."""
     disc_ratio: float = 0.5
@@ -88,13 +93,10 @@ class TargetMake(Command):
         page_path = self.output.with_suffix(".pdf")
         for path in (self.output, page_path):
             check_output(path, force=self.force)
-        palette = colour_checker_palette() if self.palette is None else read_palette(
-            self.palette, illuminant=self.illuminant, observer=self.observer
-        )  # fmt: skip
         target = design_target(
             squares=_squares(self.squares),
             square_m=_square(self.square),
-            palette=() if self.plain else palette,
+            palette=self._palette(),
             disc_ratio=self.disc_ratio,
             top_left=self.top_left,
             seed=self.seed,
@@ -129,26 +131,52 @@ class TargetMake(Command):
             lines.append(
                 f"Outside the sRGB gamut, so printed paler: {', '.join(page.clipped_colours)}"
             )
+        judged = judged_palette(target)
+        if judged is not None:
+            lines += palette_lines(judged, every=False)
         self.show(
             "\n".join(lines),
-            {"target": str(self.output), "pdf": str(page_path), "corners_xy": [nx, ny]},
+            {
+                "target": str(self.output),
+                "pdf": str(page_path),
+                "corners_xy": [nx, ny],
+                "palette": palette_to_json(judged),
+            },
         )
         return 0
+
+    def _palette(self) -> tuple[PaletteColour, ...]:
+        ways = ("--plain", self.plain), ("--palette", self.palette), ("--for-scene", self.for_scene)
+        given = [name for name, value in ways if value]
+        if len(given) > 1:
+            raise TargetError(f"{' and '.join(given)} name different colours; give one of them")
+        if self.plain:
+            return ()
+        if self.for_scene is not None:
+            return scene_palette(self.for_scene)
+        if self.palette is not None:
+            return read_palette(self.palette, illuminant=self.illuminant, observer=self.observer)
+        return colour_checker_palette()
 
 
 @dataclass(frozen=True, kw_only=True)
 class TargetCheck(Command):
-    """Say what is wrong with a target.json."""
+    """Say what is wrong with a target.json, and what its colours are good for."""
 
     target: Positional[Path]
     """target.json."""
 
     def run(self) -> int:
         """Check; exit code 1 if there is an error, 0 with remarks only."""
-        problems = check_target(load_target(self.target))
+        target = load_target(self.target)
+        problems = check_target(target)
+        judged = judged_palette(target)
         lines = [f"{item.severity:7} {item.text}" for item in problems]
+        lines = lines or [f"{self.target}: nothing to remark"]
+        if judged is not None:
+            lines += palette_lines(judged, every=True)
         data = [{"severity": item.severity, "text": item.text} for item in problems]
-        self.show("\n".join(lines) or f"{self.target}: nothing to remark", {"problems": data})
+        self.show("\n".join(lines), {"problems": data, "palette": palette_to_json(judged)})
         return 1 if any(item.severity == "error" for item in problems) else 0
 
 

@@ -88,8 +88,11 @@ def cam16_ucs(xyz: FloatArray, white: FloatArray) -> FloatArray:
        Appl. 42 (6), 2017.
     """
     colour = _colour()
-    seen = colour.XYZ_to_CAM16(
-        100 * np.maximum(xyz, 0), 100 * white, 64 / np.pi * 0.2, 20.0,
-        surround=colour.VIEWING_CONDITIONS_CAM16["Average"],
-    )  # fmt: skip
-    return np.asarray(colour.JMh_CAM16_to_CAM16UCS(np.stack([seen.J, seen.M, seen.h], axis=-1)))
+    with np.errstate(invalid="ignore"):  # of colours without light, and imaginary ones near them
+        seen = colour.XYZ_to_CAM16(
+            100 * np.maximum(xyz, 0), 100 * white, 64 / np.pi * 0.2, 20.0,
+            surround=colour.VIEWING_CONDITIONS_CAM16["Average"],
+        )  # fmt: skip
+    is_lit = seen.J > 0
+    appearance = [np.where(is_lit, item, 0.0) for item in (seen.J, seen.M, seen.h)]
+    return np.asarray(colour.JMh_CAM16_to_CAM16UCS(np.stack(appearance, axis=-1)))

@@ -208,6 +208,8 @@ def fit_rig_colour(
             del seen[camera]
         else:
             tried[camera], names[camera] = selection.candidates, selection.best.name
+    if not seen:
+        return results
     joint = _Joint(seen, names, board, settings)
     together = joint.fit()
     left_out = joint.leave_one_out(together)

@@ -142,7 +142,8 @@ def _regress(
     for _ in range(_ROUNDS):
         value, inverse = solve(every)
         off = np.abs(black - design @ value)
-        sigma = 1.4826 * float(np.median(off)) + 1e-9
+        # never below the rounding of 16 bits: made-up readings without noise have none
+        sigma = 1.4826 * float(np.median(off)) + 1e-6
         trust, noise = np.minimum(1, _HUBER * sigma / np.maximum(off, 1e-12)), sigma**2
     left_out = np.array([solve(frame != index)[0] for index in np.unique(frame)])
     n_frames = len(left_out)

@@ -33,6 +33,9 @@ _FIRST_VARIANCES = {"jump": 1e-4, "channel": 1e-4, "tint": 1e-1}  # 1 %, 1 %, 0.
 _FIRST_NOISE = 1e-4
 _ROUNDS = 30
 _SETTLED = 0.01  # relative change of every variance
+_LEAST_NOISE = (
+    1e-10  # variance of log levels: a thousandth of an 8-bit step; made-up data have none
+)
 _REDESCEND = 6.0  # robust sigmas at which a reading counts no more (Tukey's biweight)
 
 
@@ -253,7 +256,7 @@ def _solve(readings: WhiteReadings, sd_tilt: FloatArray) -> _Solution:
 
         n_used = len(columns) - prior @ np.diag(covariance)
         n_free = max(3 * float((trust > 0).sum() - n_places) - float(n_used), 1.0)
-        plain = float((trust[:, None] * residuals**2).sum()) / n_free
+        plain = max(float((trust[:, None] * residuals**2).sum()) / n_free, _LEAST_NOISE)
         scores = np.zeros((int(readings.frame.max()) + 1, len(columns)))
         np.add.at(
             scores, readings.frame, np.einsum("nki,nk->ni", inside, trust[:, None] * residuals)

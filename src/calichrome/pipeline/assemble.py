@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from calichrome.colorimetry.encoding import EncodingName
+from calichrome.colorimetry.encoding import EncodingName, ToneCurve
 from calichrome.colour.fit import ColourSolution, between_cameras
 from calichrome.colour.selection import Candidate
 from calichrome.colour.shading import Vignetting
@@ -38,7 +38,7 @@ def assemble_rig(  # noqa: PLR0917 (one argument for each part that was solved)
     target: Target,
     held_out: Mapping[str, float | None],
     colours: Mapping[str, ColourSolution],
-    encodings: Mapping[str, EncodingName | None],
+    encodings: Mapping[str, EncodingName | ToneCurve | None],
     bits: Mapping[str, int | None],
     vignettings: Mapping[str, Vignetting],
     findings: Sequence[Finding],
@@ -95,7 +95,11 @@ def assemble_rig(  # noqa: PLR0917 (one argument for each part that was solved)
         findings=tuple(findings),
         inter_camera_delta_e_2000=None
         if len(differences) == 0
-        else {"mean": float(differences.mean()), "p95": float(np.quantile(differences, 0.95))},
+        else {
+            "mean": float(differences.mean()),
+            "p95": float(np.quantile(differences, 0.95)),
+            "held_out_mean": float(between_cameras(colours, held_out=True).mean()),
+        },
         world_from_ref=world_from_ref,
         warp=_warp(solved),
     )
@@ -169,7 +173,7 @@ def _pose_cov(place: Pose, cov: FloatArray | None, *, scale_known: bool) -> Floa
 
 
 def _camera_colour(
-    solution: ColourSolution | None, encoding: EncodingName | None, bits: int | None
+    solution: ColourSolution | None, encoding: EncodingName | ToneCurve | None, bits: int | None
 ) -> CameraColour | None:
     if solution is None:
         return None

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calichrome.colorimetry.encoding import EncodingName
+from calichrome.colorimetry.encoding import EncodingName, ToneCurve
+from calichrome.colour.samples import collect_samples, disc_means
 from calichrome.core.arrays import FloatArray
 from calichrome.core.findings import Finding, finding
 from calichrome.core.pose import Pose
@@ -34,10 +35,11 @@ from calichrome.pipeline.detect import (
     require_boards,
     silent,
 )
-from calichrome.pipeline.judge import judge_target, judge_unknown_encodings
+from calichrome.pipeline.judge import greys_contradict, judge_target
 from calichrome.pipeline.judge_geometry import judge_geometry
 from calichrome.pipeline.solve_colour import ColourChoices, solve_colour
 from calichrome.pipeline.solve_geometry import GeometrySettings, solve_geometry
+from calichrome.pipeline.tone import linearise_camera
 from calichrome.pipeline.world import place_world
 from calichrome.rig import Evidence, Rig
 from calichrome.target import Target
@@ -284,14 +286,15 @@ def _calibrate(
     progress("solving the geometry", 2, 2)
 
     dataset = solved.dataset
-    encodings: dict[str, EncodingName | None] = dict.fromkeys(dataset.cameras)
+    encodings: dict[str, EncodingName | ToneCurve | None] = dict.fromkeys(dataset.cameras)
     bits: dict[str, int | None] = dict.fromkeys(dataset.cameras)
     if recording is not None and target.markers:
         if measure:
             dataset = _measure_again(recording, solved, target, progress)
-        encodings |= {camera: _encoding_of(recording, camera) for camera in dataset.cameras}
         bits |= {camera: recording.entry(camera).bits for camera in dataset.cameras}
-        findings += judge_unknown_encodings(recording, encodings)
+        dataset, read_as, tone_findings = _linearise(recording, dataset, target)
+        encodings |= read_as
+        findings += tone_findings
     colour = solve_colour(dataset, target, solved, encodings, settings.colour_settings())
     findings += colour.findings
 
@@ -341,6 +344,27 @@ def _encoding_of(recording: Recording, camera: str) -> EncodingName:
     colour = (item for item in images if isinstance(item, Image) and item.is_colour)
     first = next(colour, None)
     return "srgb" if first is None else first.encoding
+
+
+def _linearise(
+    recording: Recording, dataset: Dataset, target: Target
+) -> tuple[Dataset, dict[str, EncodingName | ToneCurve], list[Finding]]:
+    """Estimate tone curves that are stated as unknown, or assumed and contradicted by greys."""
+    views = dict(dataset.views)
+    encodings: dict[str, EncodingName | ToneCurve] = {}
+    findings: list[Finding] = []
+    for camera in dataset.cameras:
+        assumed, stated = _encoding_of(recording, camera), recording.entry(camera).encoding
+        encodings[camera] = assumed
+        samples = collect_samples(views[camera])
+        if samples is None:
+            continue
+        disc_rgb, _, _ = disc_means(samples, len(target.markers))
+        if stated == "unknown" or (stated is None and greys_contradict(disc_rgb, target)):
+            found = linearise_camera(dataset, camera, assumed, target)
+            views[camera], encodings[camera] = found.views, found.encoding
+            findings += found.findings
+    return dataset.with_views(views), encodings, findings
 
 
 def _projection(lens: Lens, cam_from_board: Pose) -> BoardToPixels:

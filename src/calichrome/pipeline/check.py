@@ -4,8 +4,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from calichrome.colorimetry.encoding import EncodingName, ToneCurve
 from calichrome.errors import DetectionError, RecordingError
 from calichrome.imaging import MAX_MEGAPIXELS, Recording, Unreadable, open_recording
+from calichrome.observations import Dataset
 from calichrome.pipeline.detect import (
     DetectionSettings,
     Progress,
@@ -13,10 +15,13 @@ from calichrome.pipeline.detect import (
     find_target,
     silent,
 )
+from calichrome.pipeline.tone import _read_again as read_again
 from calichrome.rig import Evidence, Rig
 from calichrome.rig.check import Check, check_dataset
 
 __all__ = ["check_recording"]
+
+_STORED: EncodingName = "srgb"  # as what files are read before a curve of their own is applied
 
 
 def check_recording(
@@ -63,6 +68,7 @@ def check_recording(
         )
     recording = replace(recording, files={camera: recording.files[camera] for camera in common})
     _check_sizes(rig, recording)
+    recording = _read_as_calibrated(rig, recording)
     board = rig.target if target is None else find_target(recording, target, None)
     if board.corners_xy != rig.target.corners_xy:
         raise RecordingError(
@@ -70,7 +76,7 @@ def check_recording(
             f"it with the same board, not one of {_by(board.corners_xy)}"
         )
     detection = detect_recording(recording, board, settings=detecting, progress=progress)
-    dataset = detection.dataset
+    dataset = _linearised(rig, recording, detection.dataset)
     if not any(dataset.views.values()):
         reasons = [reason for _, _, reason in detection.rejected]
         why = max(set(reasons), key=reasons.count)
@@ -88,6 +94,35 @@ def check_recording(
 
 def _by(numbers: Sequence[int]) -> str:
     return "x".join(map(str, numbers))
+
+
+def _read_as_calibrated(rig: Rig, recording: Recording) -> Recording:
+    """Read pictures with the encoding of the rig where the new recording does not state one."""
+    entries = dict(recording.settings.cameras)
+    for camera in recording.cameras:
+        colour, entry = rig.cameras[camera].colour, recording.entry(camera)
+        if colour is None or entry.encoding not in {None, "unknown"}:
+            continue
+        name = _STORED if isinstance(colour.encoding, ToneCurve) else colour.encoding
+        entries[camera] = entry.model_copy(
+            update={"encoding": name, "bits": entry.bits or colour.bits}
+        )
+    return replace(recording, settings=recording.settings.model_copy(update={"cameras": entries}))
+
+
+def _linearised(rig: Rig, recording: Recording, dataset: Dataset) -> Dataset:
+    """Remove the estimated tone curves of the rig."""
+    views = dict(dataset.views)
+    for camera, own in views.items():
+        colour = rig.cameras[camera].colour
+        if colour is None or not isinstance(colour.encoding, ToneCurve):
+            continue
+        if recording.entry(camera).encoding == _STORED:
+            views[camera] = {
+                frame: replace(view, discs=read_again(view.discs, _STORED, colour.encoding))
+                for frame, view in own.items()
+            }
+    return dataset.with_views(views)
 
 
 def _check_sizes(rig: Rig, recording: Recording) -> None:

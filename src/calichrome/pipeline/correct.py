@@ -15,6 +15,7 @@ from calichrome.apply import (
     rectifying_map,
     undistorting_map,
 )
+from calichrome.colorimetry.encoding import ToneCurve
 from calichrome.core.files import check_folder, check_output, writing_folder
 from calichrome.errors import CalichromeError, OutputError, RecordingError, SolveError
 from calichrome.geometry.rectification import Rectification, rectify_pair
@@ -245,7 +246,10 @@ def _read(camera: Camera, path: Path, bits: int | None) -> Image | Unreadable:
     colour = camera.colour
     return read_image(
         path,
-        encoding=None if colour is None else colour.encoding,
+        # a curve of its own is removed by the corrector
+        encoding=None
+        if colour is None or isinstance(colour.encoding, ToneCurve)
+        else colour.encoding,
         bits=bits or (None if colour is None else colour.bits),
     )
 

@@ -4,20 +4,20 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from calichrome.colorimetry.encoding import EncodingName
+from calichrome.colorimetry.encoding import EncodingName, ToneCurve
 from calichrome.colour.checks import exposure_jumps, grey_slope
 from calichrome.colour.fit import ColourSolution
 from calichrome.colour.samples import ColourSamples
+from calichrome.core.arrays import FloatArray
 from calichrome.core.findings import Finding, finding
-from calichrome.imaging import Recording
 from calichrome.observations import Dataset
 from calichrome.target import Target
 
 __all__ = [
+    "greys_contradict",
     "judge_colour",
     "judge_exposures",
     "judge_target",
-    "judge_unknown_encodings",
 ]
 
 _SLOPE_TOLERANCE = 0.12
@@ -87,22 +87,23 @@ def judge_exposures(
         )  # fmt: skip
 
 
-def judge_unknown_encodings(
-    recording: Recording, encodings: Mapping[str, EncodingName | None]
-) -> Iterator[Finding]:
-    """Yield cameras whose encoding is said to be unknown: this release does not estimate it."""
-    for camera, encoding in encodings.items():
-        if recording.entry(camera).encoding == "unknown":
-            yield finding(
-                "encoding_doubtful",
-                f"Camera {camera}: its encoding is stated as unknown and was taken as {encoding}. "
-                f"State it in recording.toml if you can find out.",
-                camera=camera,
-            )
+def greys_contradict(disc_rgb: FloatArray, target: Target) -> bool:
+    """Tell whether the greys rise with another exponent than 1, (n_markers, 3) linear values."""
+    slope = grey_slope(disc_rgb, target.marker_xyz_d65)
+    return slope is not None and abs(slope - 1) > _SLOPE_TOLERANCE
+
+
+def _name(encoding: EncodingName | ToneCurve | None) -> str:
+    if isinstance(encoding, ToneCurve):
+        return "its estimated curve says"
+    return encoding or "linear values"
 
 
 def judge_colour(
-    camera: str, solution: ColourSolution, encoding: EncodingName | None, target: Target
+    camera: str,
+    solution: ColourSolution,
+    encoding: EncodingName | ToneCurve | None,
+    target: Target,
 ) -> Iterator[Finding]:
     """Yield doubts about one camera's colour."""
     slope = grey_slope(solution.disc_rgb, target.marker_xyz_d65)
@@ -118,7 +119,7 @@ def judge_colour(
     elif slope is not None and abs(slope - 1) > _SLOPE_TOLERANCE:
         yield finding(
             "encoding_doubtful",
-            f"Camera {camera}: read as {encoding or 'linear values'}, its greys follow the nominal "
+            f"Camera {camera}: read as {_name(encoding)}, its greys follow the nominal "
             f"ones with exponent {slope:.2f} instead of 1. State the true encoding in "
             f"recording.toml, or turn off contrast and gamma settings of the camera.",
             camera=camera, slope=slope,

@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from calichrome.colorimetry.description import DescriptionSpace
-from calichrome.colorimetry.encoding import EncodingName
+from calichrome.colorimetry.encoding import EncodingName, ToneCurve
 from calichrome.colour.fit import ColourSettings, ColourSolution, fit_rig_colour
 from calichrome.colour.flare import measure_additive
+from calichrome.colour.illuminants import leave_out_other_light
 from calichrome.colour.models import MODELS
 from calichrome.colour.samples import ColourSamples, collect_samples
 from calichrome.colour.shading import Vignetting
@@ -76,9 +77,9 @@ def _priority(text: str) -> tuple[str, float]:
         weight = float(value)
     except ValueError:
         weight = -1.0
-    if not (name and 0 <= weight < float("inf")):
+    if not (name and 0 < weight < float("inf")):
         raise RecordingError(
-            f"--colour-priority {text}: give NAME=WEIGHT with a weight of 0 or more, like foliage=2"
+            f"--colour-priority {text}: give NAME=WEIGHT with a weight above 0, like foliage=2"
         )
     return name, weight
 
@@ -104,7 +105,7 @@ def solve_colour(
     dataset: Dataset,
     target: Target,
     solved: RigSolution,
-    encodings: Mapping[str, EncodingName | None],
+    encodings: Mapping[str, EncodingName | ToneCurve | None],
     settings: ColourSettings | None,
 ) -> RigColour:
     """Separate light, lens and colour, then fit every camera whose pictures show the discs."""
@@ -119,6 +120,7 @@ def solve_colour(
         raise RecordingError(
             f"--colour-priority: no disc of the target is called {', '.join(sorted(unknown))}"
         )
+    dataset, light_findings = leave_out_other_light(dataset)
     vignettings = _vignettings(dataset, target, solved)
     samples: dict[str, ColourSamples | None] = {
         camera: collect_samples(
@@ -130,7 +132,7 @@ def solve_colour(
         )
         for camera, views in dataset.views.items()
     }
-    findings = list(judge_exposures(dataset, samples))
+    findings = [*light_findings, *judge_exposures(dataset, samples)]
     fitted = fit_rig_colour(
         {camera: item for camera, item in samples.items() if item is not None}, target, settings
     )

@@ -1,6 +1,6 @@
 """The summary of a calibration: at most some 25 lines that a person understands."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -47,7 +47,7 @@ def _lines(rig: Rig) -> Iterator[str]:
     if between is not None:
         yield (
             f"Between cameras: {between['mean']:.2f} dE2000 on average, 95 % below "
-            f"{between['p95']:.2f}"
+            f"{between['p95']:.2f}{_left_out(between)}"
         )
     yield ""
     yield from table(
@@ -64,8 +64,14 @@ def _lines(rig: Rig) -> Iterator[str]:
         ],
         [_camera_row(name, camera, rig) for name, camera in rig.cameras.items()],
     )
-    if any(camera.colour for camera in rig.cameras.values()):
+    models = [
+        f"{name} {camera.colour.model.MODEL}"
+        for name, camera in rig.cameras.items()
+        if camera.colour is not None
+    ]
+    if models:
         yield "(dE2000: leave-one-disc-out error against the target / error of the fit)"
+        yield f"Colour models: {', '.join(models)}"
     if rig.pairs:
         yield ""
         pairs = sorted(rig.pairs, key=lambda pair: pair.rms_px)
@@ -92,6 +98,11 @@ def _finding_lines(findings: Sequence[Finding]) -> Iterator[str]:
         yield f"{same[0].severity:8} {same[0].code}: {same[0].text}{more}"
     if len(by_code) > _MOST_FINDINGS:
         yield f"         and {len(by_code) - _MOST_FINDINGS} more kinds of findings in the rig file"
+
+
+def _left_out(between: Mapping[str, float | None]) -> str:
+    value = between.get("held_out_mean")
+    return "" if value is None else f"; {value:.2f} on discs left out of the fit"
 
 
 def _count(number: int, what: str) -> str:

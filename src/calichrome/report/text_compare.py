@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from calichrome.colour.drift import ColourDrift, ColourDrifts
+from calichrome.core.arrays import FloatArray
 from calichrome.geometry.comparison import LensDifference
 from calichrome.geometry.displacement import Displacement
 from calichrome.geometry.drift import CameraDrift, LensChange
@@ -141,7 +143,7 @@ def _motion_json(place: Displacement, chance: float | None) -> dict[str, Any]:
 
 
 def check_summary(found: Check) -> str:
-    """Say of every camera whether it moved and whether its lens changed."""
+    """Say of every camera whether it moved, and whether its lens or its colour changed."""
     return "\n".join(_check_lines(found))
 
 
@@ -154,6 +156,20 @@ def _check_lines(found: Check) -> Iterator[str]:
         "(chance: how often an unchanged camera shows as much; misfit: what remains whatever "
         "moved, over that of the calibration)"
     )
+    if found.colour is not None:
+        yield ""
+        yield from table(
+            [
+                "camera", "exposure", "chance", "balance R, G, B", "chance", "matrix dE", "chance",
+                "verdict",
+            ],
+            [_colour_row(camera, item) for camera, item in found.colour.cameras.items()],
+        )  # fmt: skip
+        light = found.colour.light
+        yield (
+            f"Light: {light.level:.2f} times that of the calibration, R G B by "
+            f"{_rgb(light.balance)}; it varies by {light.unevenness:.0%} over the board."
+        )
     if found.absent:
         yield f"Not checked, no view of the board: {', '.join(found.absent)}"
     if found.unknown:
@@ -164,7 +180,8 @@ def _check_lines(found: Check) -> Iterator[str]:
     for item in found.findings:
         yield f"{item.severity:8} {item.code}: {item.text}"
     if found.unchanged:
-        yield "Unchanged: every camera is where it was, with the lens it had."
+        colour = "" if found.colour is None else " and sees the colours it saw"
+        yield f"Unchanged: every camera is where it was, with the lens it had{colour}."
 
 
 def _check_row(camera: str, item: CameraDrift) -> list[str]:
@@ -173,6 +190,23 @@ def _check_row(camera: str, item: CameraDrift) -> list[str]:
         camera, *moved, _chance(item.moved_chance), _focal(item.lens), _chance(item.lens_chance),
         f"{item.misfit:.2f}", _state(item),
     ]  # fmt: skip
+
+
+def _colour_row(camera: str, item: ColourDrift) -> list[str]:
+    return [
+        camera,
+        "-" if item.alone else f"{item.exposure:.3f}",
+        _chance(item.exposure_chance),
+        _rgb(item.balance),
+        _chance(item.balance_chance),
+        "-" if item.matrix_chance is None else f"{item.delta_e:.1f}",
+        _chance(item.matrix_chance),
+        "as it was" if item.change == "nothing" else f"{item.change} changed",
+    ]
+
+
+def _rgb(factors: FloatArray) -> str:
+    return " ".join(f"{value:.3f}" for value in factors)
 
 
 def _state(item: CameraDrift) -> str:
@@ -227,8 +261,32 @@ def check_to_json(found: Check) -> dict[str, Any]:
             }
             for camera, item in found.drift.cameras.items()
         },
+        "colour": None if found.colour is None else _colour_json(found.colour),
         "findings": [
             {**item.data, "code": item.code, "severity": item.severity, "text": item.text}
             for item in found.findings
         ],
+    }
+
+
+def _colour_json(found: ColourDrifts) -> dict[str, Any]:
+    return {
+        "cameras": {
+            camera: {
+                "change": item.change,
+                "exposure": None if item.alone else item.exposure,
+                "exposure_chance": item.exposure_chance,
+                "balance": item.balance.tolist(),
+                "balance_chance": item.balance_chance,
+                "matrix": item.matrix.tolist(),
+                "matrix_delta_e_2000": item.delta_e,
+                "matrix_chance": item.matrix_chance,
+            }
+            for camera, item in found.cameras.items()
+        },
+        "light": {
+            "level": found.light.level,
+            "balance": found.light.balance.tolist(),
+            "unevenness": found.light.unevenness,
+        },
     }

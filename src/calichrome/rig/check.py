@@ -1,10 +1,11 @@
-"""A rig against new views of its board: whether a camera moved or a lens changed."""
+"""A rig against new views of its board: whether a camera moved, a lens or the colour changed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calichrome.colour.drift import ColourDrifts
 from calichrome.core.arrays import FloatArray
 from calichrome.core.findings import Finding, finding
 from calichrome.geometry.bundle import BoardShape, ObservedView
@@ -15,6 +16,7 @@ from calichrome.geometry.drift_equations import Change
 from calichrome.geometry.rig_solve import observed_view
 from calichrome.geometry.rig_start import half_turned
 from calichrome.observations import Dataset
+from calichrome.rig.check_colour import check_colour, judge_colour_drift
 from calichrome.rig.evidence import Evidence
 from calichrome.rig.model import Rig
 from calichrome.target import Target
@@ -40,6 +42,8 @@ class Check:
         False: the calibration was taken as exact, since its evidence is not there.
     findings
         What changed.
+    colour
+        What changed in colour; None if rig or pictures tell none.
     """
 
     drift: Drift
@@ -48,11 +52,12 @@ class Check:
     frames: int
     with_covariance: bool
     findings: tuple[Finding, ...]
+    colour: ColourDrifts | None = None
 
     @property
     def unchanged(self) -> bool:
-        """Whether every camera is as it was."""
-        return not self.findings
+        """Whether every camera is as it was; its light may have changed."""
+        return all(item.severity == "note" for item in self.findings)
 
 
 def check_dataset(
@@ -85,13 +90,15 @@ def check_dataset(
     if len(target.symmetries) > 1:
         views = _turned_alike(views, dataset, known)
     drift = find_drift(known, views)
+    colour = check_colour(rig, dataset, target)
     return Check(
         drift=drift,
         absent=tuple(camera for camera in rig.cameras if camera not in drift.cameras),
         unknown=(),
         frames=len(dataset.frames),
         with_covariance=known.cov is not None,
-        findings=tuple(_findings(drift)),
+        findings=(*_findings(drift), *judge_colour_drift(colour)),
+        colour=colour,
     )
 
 

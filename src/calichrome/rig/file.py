@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from calichrome._version import __version__
+from calichrome.colorimetry.encoding import ToneCurve
 from calichrome.colour.models import MODELS
 from calichrome.colour.shading import Vignetting
 from calichrome.core.arrays import FloatArray
@@ -52,6 +53,7 @@ class _LensFile(_Base):
 class _EncodingFile(_Base):
     name: Literal["linear", "srgb", "gamma2.2", "rec709"] | None
     bits: int | None = Field(default=None, ge=8, le=16)
+    curve: dict[str, Any] | None = None
 
 
 class _WhiteFile(_Base):
@@ -118,6 +120,7 @@ class _FindingFile(_Base):
 class _InterCameraFile(_Base):
     mean: float
     p95: float
+    held_out_mean: float | None = None
 
 
 class RigFile(_Base):
@@ -264,13 +267,19 @@ def _camera_to_json(camera: Camera) -> dict[str, Any]:
         if colour is None
         else {
             "model": colour.model.MODEL,
-            "encoding": {"name": colour.encoding, "bits": colour.bits},
+            "encoding": _encoding_to_json(colour),
             "parameters": colour.model.to_json(),
             "white": {"rgb": colour.white_rgb.tolist()},
             "delta_e_2000": dict(colour.delta_e_2000),
             "candidates": [dict(item) for item in colour.candidates],
         },
     }
+
+
+def _encoding_to_json(colour: CameraColour) -> dict[str, Any]:
+    if isinstance(colour.encoding, ToneCurve):
+        return {"name": None, "bits": colour.bits, "curve": colour.encoding.to_json()}
+    return {"name": colour.encoding, "bits": colour.bits, "curve": None}
 
 
 def _listed(values: FloatArray | None) -> list[float] | None:
@@ -299,7 +308,9 @@ def _rig_from_file(file: RigFile, data: dict[str, Any]) -> Rig:
             Finding(code=f.code, severity=f.severity, text=f.text, data=f.model_extra or {})
             for f in file.findings
         ),
-        inter_camera_delta_e_2000=None if inter is None else {"mean": inter.mean, "p95": inter.p95},
+        inter_camera_delta_e_2000=None
+        if inter is None
+        else {"mean": inter.mean, "p95": inter.p95, "held_out_mean": inter.held_out_mean},
         world_from_ref=_pose(file.world_from_ref),
         warp=_warp(data["target"].get("warp")),
     )
@@ -346,7 +357,9 @@ def _colour(file: _ColourFile) -> CameraColour:
         raise FileFormatError(f"colour model {file.model} is not known to this release")
     return CameraColour(
         model=MODELS[file.model].from_json(file.parameters),
-        encoding=file.encoding.name,
+        encoding=file.encoding.name
+        if file.encoding.curve is None
+        else ToneCurve.from_json(file.encoding.curve),
         bits=file.encoding.bits,
         white_rgb=np.array(file.white.rgb),
         delta_e_2000={

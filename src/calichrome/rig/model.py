@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calichrome.colorimetry.encoding import EncodingName
+from calichrome.colorimetry.encoding import EncodingName, ToneCurve
 from calichrome.colour.model import ColourModel
 from calichrome.colour.shading import Vignetting
 from calichrome.core.arrays import FloatArray
@@ -30,8 +30,8 @@ class CameraColour:
         Linear RGB to XYZ under D65, once the fall-off of the lens is divided out
         (`Camera.vignetting`).
     encoding
-        How the camera's files store light; None if no picture was seen (calibrated from corners):
-        then each file is read by its depth.
+        How the camera's files store light, a curve of its own where it was estimated; None if no
+        picture was seen (calibrated from corners): then each file is read by its depth.
     bits
         Significant bits of integer pixels, where stated.
     white_rgb : (3,) float
@@ -45,7 +45,7 @@ class CameraColour:
     """
 
     model: ColourModel
-    encoding: EncodingName | None
+    encoding: EncodingName | ToneCurve | None
     white_rgb: FloatArray
     delta_e_2000: Mapping[str, float | None]
     bits: int | None = None
@@ -154,7 +154,7 @@ class Rig:
     pairs: tuple[Pair, ...]
     frames: Mapping[str, PlacedFrame]
     findings: tuple[Finding, ...] = ()
-    inter_camera_delta_e_2000: Mapping[str, float] | None = None
+    inter_camera_delta_e_2000: Mapping[str, float | None] | None = None
     world_from_ref: Pose = field(default_factory=Pose.identity)
     warp: BoardWarp | None = None
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calichrome.colour.models.linear import Linear
+from calichrome.colour.shading import Vignetting
 from calichrome.core.findings import finding
 from calichrome.core.pose import Pose
 from calichrome.errors import FileFormatError, OutputError
@@ -28,6 +29,13 @@ from calichrome.rig.evidence import CameraCovariance, load_evidence
 from calichrome.target import Target, target_from_json, target_to_json
 
 _LENS = BrownConrady(fx=610.1, fy=602.2, cx=322.3, cy=238.4, k1=-0.2, k2=0.08, p1=1e-3, k3=-0.01)
+_VIGNETTING = Vignetting(
+    centre_px=np.array([322.3, 238.4]),
+    half_diagonal_px=400.5,
+    coefficients=np.array([[-0.4, 0.05, 0.01, 1e-3, -2e-3]] * 3) * [[1.0], [1.1], [0.9]],
+    covariance=np.broadcast_to(np.diag([1e-4, 1e-5, 1e-6, 1e-6, 1e-6]), (3, 5, 5)),
+    covered_radius=0.85,
+)
 
 
 @pytest.fixture
@@ -36,8 +44,14 @@ def rig(standard_target: Target) -> Rig:
         model=Linear.from_matrix(np.array([[0.5, 0.3, 0.2], [0.2, 0.7, 0.1], [0.0, 0.1, 0.9]])),
         encoding="srgb",
         white_rgb=np.array([0.7, 0.8, 0.6]),
-        delta_e_2000={"fit_mean": 0.9, "held_out_mean": 1.1, "held_out_p95": 2.5},
-    )
+        delta_e_2000={
+            "fit_mean": 0.9, "held_out_mean": 1.1, "held_out_p95": 2.5, "uncertainty_p95": None,
+        },
+        candidates=(
+            {"model": "linear", "why_not": None, "n_free": 9, "gain": 1.25},
+            {"model": "cheung-20", "why_not": "changes by 3.10 dE with exposure", "gain": None},
+        ),
+    )  # fmt: skip
     left = Camera(
         size_wh=(640, 480),
         lens=_LENS,
@@ -50,6 +64,7 @@ def rig(standard_target: Target) -> Rig:
         rms_px=0.21,
         held_out_rms_px=0.25,
         colour=colour,
+        vignetting=_VIGNETTING,
     )
     right = Camera(
         size_wh=(800, 600),
@@ -69,7 +84,7 @@ def rig(standard_target: Target) -> Rig:
         pairs=(Pair(("left", "right"), 3, 0.3),),
         frames={"01": PlacedFrame(Pose.from_rotvec([0.2, 0, 0], [0, 0, 0.7]), ("left", "right"))},
         findings=(finding("few_views", "camera right: 3 views", camera="right", views=3),),
-        inter_camera_delta_e_2000={"mean": 0.5, "p95": 1.5},
+        inter_camera_delta_e_2000={"mean": 0.5, "p95": 1.5, "held_out_mean": 0.8},
     )
 
 
@@ -97,6 +112,11 @@ def test_a_loaded_rig_projects_alike(rig: Rig, tmp_path: Path, rng: np.random.Ge
     assert before is not None
     assert after is not None
     np.testing.assert_array_equal(after.xyz_from_rgb(rgb), before.xyz_from_rgb(rgb))
+    assert [dict(item) for item in after.candidates] == [dict(item) for item in before.candidates]
+    fall_off, pixels = read.cameras["left"].vignetting, rng.uniform(0, 640, (20, 2))
+    assert fall_off is not None
+    np.testing.assert_array_equal(fall_off.gain(pixels), _VIGNETTING.gain(pixels))
+    np.testing.assert_array_equal(fall_off.sigma(pixels), _VIGNETTING.sigma(pixels))
 
 
 def test_what_was_not_estimated_is_null(rig: Rig, tmp_path: Path) -> None:
@@ -110,9 +130,11 @@ def test_what_was_not_estimated_is_null(rig: Rig, tmp_path: Path) -> None:
     assert right["cam_from_ref"]["sigma_m"] is None
     assert right["held_out_rms_px"] is None
     assert right["colour"] is None
+    assert right["vignetting"] is None
     read = load_rig(tmp_path / "rig.json").cameras["right"]
     assert read.sigma_m is None
     assert read.lens_sigma["fx"] is None
+    assert read.vignetting is None
 
 
 def test_a_critical_finding_is_distrust(rig: Rig) -> None:
@@ -163,6 +185,9 @@ def _damaged(rig: Rig, tmp_path: Path, *steps: str | int, value: Any) -> Path:  
         (("cameras", "left", "colour", "parameters"), {}, "lacks .matrix."),
         (("cameras", "left", "colour", "parameters"), {"matrix": [[1, 2]]}, "matrix"),
         (("cameras", "left", "colour", "encoding", "name"), "log", "encoding.name"),
+        (("cameras", "left", "vignetting", "covered_radius"), ..., "lacks .covered_radius."),
+        (("cameras", "left", "vignetting", "covered_radius"), 0.0, "must be positive"),
+        (("cameras", "left", "vignetting", "coefficients"), [[1.0] * 5], "coefficients"),
         (("cameras", "left", "cam_from_ref", "rotation"), (2 * np.eye(3)).tolist(), "rotation"),
         (("cameras", "left", "cam_from_ref", "rotation"), [[1, 0, 0]], "rotation"),
         (("reference_camera",), "middle", "reference_camera middle"),

@@ -14,7 +14,7 @@ from calichrome.colour.models.root_polynomial import (
     RootPolynomial3,
     RootPolynomial3White,
 )
-from calichrome.colour.models.subspaces import Subspaces
+from calichrome.colour.models.subspaces import Subspaces, SubspacesRoot
 from calichrome.colour.models.tetrahedral import Tetrahedral
 from calichrome.colour.models.thin_plate import ChromaticitySpline, ThinPlate, ThinPlateExact
 from calichrome.colour.models.white_balance import WhiteBalance
@@ -34,6 +34,7 @@ _ALL: tuple[type[ColourModel], ...] = (
     HuePlane2,
     Cheung10,
     Cheung11,
+    SubspacesRoot,
     RootPolynomial3White,
     RootPolynomial3,
     Cheung20,

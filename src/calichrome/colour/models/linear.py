@@ -6,7 +6,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from calichrome.colour.model import TermModel, to_floats
-from calichrome.core.arrays import FloatArray
+from calichrome.core.arrays import FloatArray, checked
 
 __all__ = ["Affine", "Linear", "LinearWhite"]
 
@@ -22,7 +22,7 @@ class Linear(TermModel):
     @classmethod
     def from_matrix(cls, matrix: FloatArray) -> Self:
         """Build it from ``xyz = matrix @ rgb``, (3, 3)."""
-        return cls(np.ones(3), np.ones(3), np.asarray(matrix, dtype=np.float64).T)
+        return cls(np.ones(3), np.ones(3), checked(matrix, (3, 3), "matrix").T)
 
     @property
     def matrix(self) -> FloatArray:

@@ -37,13 +37,14 @@ def lifted(balanced: FloatArray) -> tuple[FloatArray, FloatArray]:
     (c + sqrt(c^2 + 4 l^2 m^2)) / 2 with the mean m, over its value at c = m so that greys are kept.
     """
     grey = (1 + np.sqrt(1 + 4 * _LIFT**2)) / 2
-    floor = _LIFT * np.abs(balanced.mean(axis=-1, keepdims=True))
+    # of sizes: noise below black must not bring the level, and with it the floor, to 0
+    floor = _LIFT * np.abs(balanced).mean(axis=-1, keepdims=True)
     root = np.sqrt(balanced**2 + 4 * floor**2)
     safe = np.maximum(root, np.finfo(np.float64).tiny)
     by_own = (1 + balanced / safe) / 2
     by_floor = 2 * floor / safe
-    by_mean = _LIFT * np.sign(balanced.mean(axis=-1, keepdims=True)) / 3
-    slopes = by_own[..., None] * np.eye(3) + (by_floor * by_mean)[..., None]
+    by_size = _LIFT * np.sign(balanced) / 3
+    slopes = by_own[..., None] * np.eye(3) + by_floor[..., None] * by_size[..., None, :]
     return (balanced + root) / 2 / grey, slopes / grey
 
 
