@@ -27,14 +27,13 @@ from calichrome.colour.model import TermModel
 from calichrome.colour.models import MODELS
 from calichrome.colour.models.root_polynomial import RootPolynomial2, RootPolynomial2White
 from calichrome.colour.pairs import ColourPairs
-from calichrome.colour.regression import fit_terms
-from calichrome.colour.uncertainty import bound_95, propagate
+from calichrome.colour.uncertainty import bound_95, refit_covariance
 from calichrome.core.arrays import FloatArray
 
 __all__ = ["FIGURES", "main"]
 
 _FOLDER = Path(__file__).resolve().parents[2] / "docs" / "figures"
-_NOISE, _PRINT_SD, _N_REPEATED = 0.01, 0.5, 400
+_NOISE, _PRINT_SD, _N_REPEATED = 0.01, 0.5, 200
 
 
 def _shown(xyz: FloatArray) -> FloatArray:
@@ -262,9 +261,8 @@ def _repeated(
         pairs = ColourPairs.of(
             rgb, xyz, white_rgb=np.ones(3), adopted_white=white, rgb_cov=rgb_cov, xyz_cov=xyz_cov
         )
-        found, solved = fit_terms(model, pairs)
-        corrected = found.apply(some)
-        return corrected, bound_95(corrected, propagate(found, solved, pairs).of_xyz(some), white)
+        corrected = fit_model(model.MODEL, pairs).apply(some)
+        return corrected, bound_95(corrected, refit_covariance(model.MODEL, pairs, some), white)
 
     exact, _ = fitted(train.rgb, train.xyz)
     roots = np.linalg.cholesky(xyz_cov)

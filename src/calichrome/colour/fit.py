@@ -9,14 +9,14 @@ import numpy as np
 from calichrome.colorimetry.description import DescriptionSpace
 from calichrome.colorimetry.difference import delta_e_2000_xyz, lab_from_xyz, xyz_from_lab
 from calichrome.colorimetry.rgb_spaces import XYZ_FROM_RGB
+from calichrome.colour.families import fit_model
 from calichrome.colour.joint import JointColour, fit_together
-from calichrome.colour.model import ColourModel, TermModel
+from calichrome.colour.model import ColourModel
 from calichrome.colour.models import MODELS
 from calichrome.colour.pairs import ColourPairs
-from calichrome.colour.regression import fit_terms
 from calichrome.colour.samples import ColourSamples, combine_views
 from calichrome.colour.selection import AUTO, Candidate, select_model
-from calichrome.colour.uncertainty import bound_95, propagate
+from calichrome.colour.uncertainty import bound_95, refit_covariance
 from calichrome.core.arrays import BoolArray, FloatArray, IntArray
 from calichrome.target import Target
 
@@ -315,13 +315,12 @@ class _Joint:
 
 
 def _uncertainty(pairs: ColourPairs, name: str, settings: ColourSettings) -> FloatArray:
-    """95 % bound of every pair; nan for models that are not linear in their parameters."""
-    model = MODELS[name]
-    if not issubclass(model, TermModel) or model.MIN_COLOURS == 0:
-        return np.full(len(pairs), np.nan)
-    fitted, solved = fit_terms(model, pairs, mean_error=settings.mean_error)
-    cov = propagate(fitted, solved, pairs).of_xyz(pairs.rgb, pairs.rgb_cov)
-    return bound_95(fitted.apply(pairs.rgb), cov, pairs.adopted_white, pairs.space)
+    """95 % bound of every corrected pair, by the model and its own noise."""
+    model = fit_model(name, pairs, mean_error=settings.mean_error)
+    cov = refit_covariance(name, pairs, pairs.rgb, mean_error=settings.mean_error)
+    jacobian = model.jacobian(pairs.rgb)
+    cov = cov + jacobian @ pairs.rgb_cov @ np.swapaxes(jacobian, 1, 2)
+    return bound_95(model.apply(pairs.rgb), cov, pairs.adopted_white, pairs.space)
 
 
 def _solution(  # noqa: PLR0917 (all that is known of a camera)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from scipy.linalg import eigh
+import scipy.linalg
 
 from calichrome.colour.model import TermModel
 from calichrome.colour.pairs import ColourPairs
@@ -26,6 +26,7 @@ _STRENGTHS = 10.0 ** np.arange(-5, 2.01, 0.5)
 _REFINEMENTS = 8  # of the mean error instead of the squared one; changes fall below 0.01 dE
 _SMALLEST = 0.1  # dE: errors below it all count alike, or one exact colour would hold the fit
 
+_OPEN = 1e-12  # of a column's length: below what 20 terms of a ColorChecker still tell apart (1e-8)
 _TINY = 1e-9  # keeps the leave-one-out error of a colour finite that alone fixes a term
 
 Model = TypeVar("Model", bound=TermModel)
@@ -96,34 +97,37 @@ def _solve(
 ) -> Regression:
     n, n_terms = terms.shape
     wanted = pairs.relative - base
-    # rows of the design: colour i, channel j; columns: term k, channel l
-    normal = np.einsum("nk,nij,nl->kilj", terms, whitening, terms).reshape(3 * n_terms, -1)
-    pulled = np.zeros(n_terms)
-    pulled[n_terms - n_shrunk :] = 1.0
-    mean = whitening.mean(axis=0)
-    own = np.einsum("nk,nk->k", terms, terms)[n_terms - n_shrunk :].mean() if n_shrunk else 0.0
-    pull = np.kron(np.diag(pulled * own), mean)
-    total = normal + pull
-    total[np.diag_indices(len(total))] *= 1 + 1e-12  # colours that repeat leave a direction open
-    # both matrices at once: V' (A + P) V = 1, V' P V = diag(d), so A + s P is diagonal in V as well
-    share, vectors = eigh(pull, total)
-    by_colour = np.einsum("nk,kjv->njv", terms, vectors.reshape(n_terms, 3, -1))
-    weighted = np.einsum("nij,njv->niv", whitening, by_colour)
-    side = np.einsum("niv,ni->v", weighted, wanted)
+    # rows of the design: colour i, channel j, whitened; columns: term k, channel l
+    factor = np.swapaxes(np.linalg.cholesky(whitening), 1, 2)
+    design = np.einsum("nk,nij->nikj", terms, factor).reshape(3 * n, -1)
+    pulled = np.zeros((n_terms, n_terms))
+    if n_shrunk:
+        own = np.einsum("nk,nk->k", terms, terms)[-n_shrunk:].mean()
+        pulled[-n_shrunk:, -n_shrunk:] = np.sqrt(own) * np.eye(n_shrunk)
+    pull = np.kron(pulled, np.linalg.cholesky(whitening.mean(axis=0)).T)
+    # one triangle for both: design = q r, pull = p r with q'q + p'p = 1, so that with p's singular
+    # vectors both are diagonal; normal equations would lose twice the digits
+    lengths = np.sqrt((design**2).sum(axis=0) + (pull**2).sum(axis=0))
+    loose = _OPEN * np.diag(lengths)  # colours that repeat leave a direction open
+    orthogonal, triangle = np.linalg.qr(np.concatenate([design, pull, loose]))
+    _, drawn, turn = np.linalg.svd(orthogonal[3 * n : -len(loose)])
+    rows = (orthogonal[: 3 * n] @ turn.T).reshape(n, 3, -1)
+    side = np.einsum("niv,nij,nj->v", rows, factor, wanted, optimize=True)
     strengths = _STRENGTHS if n_shrunk else np.ones(1)
-    scales = 1 / np.maximum(1 + (strengths[:, None] - 1) * share, 1e-12)
+    scales = 1 / np.maximum(1 + (strengths[:, None] - 1) * drawn**2, 1e-12)
+    back = np.linalg.inv(factor)
+    by_colour = back @ rows
     residuals = wanted - np.einsum("njv,sv->snj", by_colour, scales * side)
+    weighted = np.swapaxes(factor, 1, 2) @ rows
     leverage = np.einsum("niv,sv,njv->snij", by_colour, scales, weighted, optimize=True)
     gap = (1 + _TINY) * np.eye(3) - leverage
     left_out = base + wanted - np.linalg.solve(gap, residuals[..., None])[..., 0]
     errors = pairs.difference(left_out * pairs.white_xyz)
     best = int(np.argmin(errors @ pairs.weights))
-    scale, strength = scales[best], float(strengths[best])
-    gain = np.einsum("av,v,niv->ani", vectors, scale, weighted).reshape(n_terms, 3, n, 3)
-    coefficients = (vectors @ (scale * side)).reshape(n_terms, 3)
+    vectors = scipy.linalg.solve_triangular(triangle, turn.T * scales[best])
     return Regression(
-        coefficients=coefficients,
-        gain=gain,
-        strength=strength if n_shrunk else 0.0,
+        coefficients=(vectors @ side).reshape(n_terms, 3),
+        gain=np.einsum("av,niv->ani", vectors, weighted).reshape(n_terms, 3, n, 3),
+        strength=float(strengths[best]) if n_shrunk else 0.0,
         left_out=left_out[best],
     )

@@ -19,6 +19,7 @@ AUTO = tuple(MODELS)
 """Models that `select_model` tries unless told otherwise: all."""
 
 _PIXELS = 2000  # to time a model on: some tenths of a millisecond
+_TINY = 1e-12  # of all weights: one colour alone has no standard error
 _SIMPLER = 0.25  # standard errors of the paired difference; DESIGN's rule
 
 
@@ -106,12 +107,12 @@ def select_model(
     for item in sorted(allowed, key=_n_free):
         if _n_free(item) >= _n_free(best):
             break
-        if _as_good(item.left_out_delta_e - best.left_out_delta_e):
+        if _as_good(item.left_out_delta_e - best.left_out_delta_e, weights):
             smallest = item
             break
     return Selection(
         best=smallest,
-        candidates=tuple(_verdict(item, smallest, best) for item in tried),
+        candidates=tuple(_verdict(item, smallest, best, weights) for item in tried),
     )
 
 
@@ -155,12 +156,16 @@ def _n_free(item: Candidate) -> int:
     return 0 if item.model is None else item.model.n_free
 
 
-def _as_good(paired: FloatArray) -> bool:
-    standard_error = float(paired.std(ddof=1) / np.sqrt(len(paired))) if len(paired) > 1 else 0.0
-    return float(paired.mean()) < _SIMPLER * standard_error
+def _as_good(paired: FloatArray, weights: FloatArray) -> bool:
+    """Whether errors that differ by `paired` from the smallest tell nothing; weights sum to 1."""
+    mean, share = float(weights @ paired), float(weights @ weights)
+    variance = float(weights @ (paired - mean) ** 2) * share / max(1 - share, _TINY)
+    return bool(mean <= _SIMPLER * np.sqrt(variance))
 
 
-def _verdict(item: Candidate, chosen: Candidate, smallest: Candidate) -> Candidate:
+def _verdict(
+    item: Candidate, chosen: Candidate, smallest: Candidate, weights: FloatArray
+) -> Candidate:
     why = item.why_not
     if item is chosen:
         why = ""
@@ -170,5 +175,6 @@ def _verdict(item: Candidate, chosen: Candidate, smallest: Candidate) -> Candida
         if item is smallest:
             why = f"not surely better than {chosen.name}, which is simpler"
         else:
-            why = f"error larger by {item.mean - smallest.mean:.2f}"
+            more = float(weights @ (item.left_out_delta_e - smallest.left_out_delta_e))
+            why = f"error larger by {more:.2f}"
     return replace(item, why_not=why)

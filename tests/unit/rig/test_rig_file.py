@@ -1,12 +1,14 @@
 """rig.json: read as written, refused when damaged, and null where nothing was estimated."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from calichrome.colorimetry.encoding import ToneCurve
 from calichrome.colour.models.linear import Linear
 from calichrome.colour.shading import Vignetting
 from calichrome.core.findings import finding
@@ -117,6 +119,20 @@ def test_a_loaded_rig_projects_alike(rig: Rig, tmp_path: Path, rng: np.random.Ge
     assert fall_off is not None
     np.testing.assert_array_equal(fall_off.gain(pixels), _VIGNETTING.gain(pixels))
     np.testing.assert_array_equal(fall_off.sigma(pixels), _VIGNETTING.sigma(pixels))
+
+
+def test_an_estimated_curve_is_kept(rig: Rig, tmp_path: Path) -> None:
+    stored = np.linspace(0, 1, 12)
+    curve = ToneCurve.from_table(stored, stored[:, None] ** [2.2, 2.0, 1.8])
+    left = rig.cameras["left"]
+    assert left.colour is not None
+    bent = replace(left, colour=replace(left.colour, encoding=curve))
+    save_rig(replace(rig, cameras={**rig.cameras, "left": bent}), None, tmp_path / "rig.json")
+    read = load_rig(tmp_path / "rig.json").cameras["left"].colour
+    assert read is not None
+    assert isinstance(read.encoding, ToneCurve)
+    np.testing.assert_array_equal(read.encoding.linear, curve.linear)
+    np.testing.assert_array_equal(read.encoding.sigma, curve.sigma)
 
 
 def test_what_was_not_estimated_is_null(rig: Rig, tmp_path: Path) -> None:
