@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 from calichrome.colorimetry.description import DescriptionSpace
 from calichrome.colorimetry.encoding import EncodingName, ToneCurve
 from calichrome.colour.fit import ColourSettings, ColourSolution, fit_rig_colour
 from calichrome.colour.flare import measure_additive
 from calichrome.colour.illuminants import leave_out_other_light
-from calichrome.colour.models import MODELS
 from calichrome.colour.samples import ColourSamples, collect_samples
 from calichrome.colour.shading import Vignetting
 from calichrome.colour.shading_fit import VignettingFit, fit_vignetting
@@ -19,7 +19,35 @@ from calichrome.observations import Dataset
 from calichrome.pipeline.judge import judge_colour, judge_exposures
 from calichrome.target import Target
 
-__all__ = ["ColourChoices", "RigColour", "solve_colour"]
+__all__ = ["ColourChoices", "ColourModelName", "RigColour", "solve_colour"]
+
+
+ColourModelName = Literal[
+    "auto",
+    "none",
+    "white-balance",
+    "linear-white",
+    "linear",
+    "affine",
+    "root-polynomial-2-white",
+    "root-polynomial-2",
+    "hue-plane",
+    "cheung-7",
+    "subspaces",
+    "hue-plane-2",
+    "cheung-10",
+    "cheung-11",
+    "subspaces-root",
+    "root-polynomial-3-white",
+    "root-polynomial-3",
+    "cheung-20",
+    "chromaticity-spline",
+    "local-regression",
+    "thin-plate",
+    "thin-plate-exact",
+    "tetrahedral",
+]
+"""What a user may ask for: the names of `MODELS`, the choice among them, or nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)  # no slots: beside GeometrySettings it is a second base
@@ -41,7 +69,7 @@ class ColourChoices:
         Make all cameras look like this one, instead of like the target.
     """
 
-    colour: str = "auto"
+    colour: ColourModelName = "auto"
     colour_space: DescriptionSpace = "lab2000"
     colour_priority: tuple[str, ...] = ()
     colour_mean_error: bool = False
@@ -53,15 +81,10 @@ class ColourChoices:
         Raises
         ------
         RecordingError
-            For an unknown model, or a priority that cannot be read.
+            For a priority that cannot be read.
         """
         if self.colour == "none":
             return None
-        if self.colour != "auto" and self.colour not in MODELS:
-            raise RecordingError(
-                f"--colour {self.colour}: there is no such model; choose auto, none or one of "
-                f"{', '.join(MODELS)}"
-            )
         return ColourSettings(
             model=self.colour,
             space=self.colour_space,

@@ -279,7 +279,7 @@ def _camera_to_json(camera: Camera) -> dict[str, Any]:
 def _encoding_to_json(colour: CameraColour) -> dict[str, Any]:
     if isinstance(colour.encoding, ToneCurve):
         return {"name": None, "bits": colour.bits, "curve": colour.encoding.to_json()}
-    return {"name": colour.encoding, "bits": colour.bits, "curve": None}
+    return {"name": colour.encoding, "bits": colour.bits}
 
 
 def _listed(values: FloatArray | None) -> list[float] | None:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from calichrome.geometry.rig_solve import solve_rig
 from calichrome.imaging import Image
 from calichrome.observations import BoardView, Dataset, DiscSamples
 from calichrome.pipeline.calibrate import Calibration, CalibrationSettings, calibrate_dataset
-from calichrome.pipeline.solve_colour import ColourChoices, RigColour, solve_colour
+from calichrome.pipeline.solve_colour import ColourChoices, ColourModelName, RigColour, solve_colour
 from calichrome.rig import load_rig, save_rig
 from calichrome.target import Paper, Target
 
@@ -135,15 +136,12 @@ def test_choices_become_settings() -> None:
     assert ColourChoices().colour_settings() == ColourSettings()
     assert ColourSettings().names == tuple(MODELS)
     assert ColourChoices(colour="none").colour_settings() is None
+    assert set(get_args(ColourModelName)) == {"auto", "none", *MODELS}
 
 
 @pytest.mark.parametrize(
     ("choices", "sentence"),
     [
-        (
-            ColourChoices(colour="magic"),
-            "--colour magic: there is no such model; choose auto, none or one of white-balance, ",
-        ),
         (
             ColourChoices(colour_priority=("foliage",)),
             "--colour-priority foliage: give NAME=WEIGHT",
