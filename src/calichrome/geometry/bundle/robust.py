@@ -15,7 +15,7 @@ from calichrome.geometry.bundle.blocks import chunk_residuals, whiten
 from calichrome.geometry.bundle.board_shape import BoardShape
 from calichrome.geometry.bundle.noise import median_noise, view_noise
 from calichrome.geometry.bundle.observations import Observations
-from calichrome.geometry.bundle.solve import BundleResult, solve_bundle
+from calichrome.geometry.bundle.solve import BundleResult, solve_bundle, step_bundle
 from calichrome.geometry.bundle.state import BundleState, Free, Priors
 
 __all__ = ["RobustResult", "solve_robust"]
@@ -92,13 +92,21 @@ def solve_robust(
     if gate:
         inside = _inside(observations, lengths, median_noise(observations, lengths))
     noise = view_noise(observations, lengths, inside, free, views_differ=gate)
-    for attempt in range(_ROUNDS + 1):
-        rough = gate and attempt == 0  # the first gate stood on a rough state and is drawn again
+    if gate:  # the first gate stood on a rough state: one step on, it is drawn again
+        state, equations = step_bundle(
+            observations.weighted(_scaled(observations, base, noise, inside)), state, free,
+            priors=priors, damping=_NEAR,
+        )  # fmt: skip
+        lengths = _lengths(observations, base, state)
+        noise = view_noise(
+            observations, lengths, inside, free, views_differ=True, shares=equations.shares()
+        )
+        inside = _whole(observations, _inside(observations, lengths, noise))
+    for _ in range(_ROUNDS):
         kept, used = inside, noise
         result = solve_bundle(
             observations.weighted(_scaled(observations, base, noise, kept)), state, free,
             priors=priors, damping=_NEAR if gate else 1e-4,
-            relative_decrease=1e-10, max_iterations=1 if rough else 100,
         )  # fmt: skip
         state = result.state
         lengths = _lengths(observations, base, state)
@@ -108,7 +116,7 @@ def solve_robust(
         inside = _whole(observations, _inside(observations, lengths, noise)) if gate else kept
         moved = sum(int((a != b).sum()) for a, b in zip(inside, kept, strict=True))
         changed = float(np.sqrt(np.mean((noise / used - 1) ** 2)))
-        if not rough and moved <= _ON_THE_LINE * observations.n_corners and changed < _SETTLED:
+        if moved <= _ON_THE_LINE * observations.n_corners and changed < _SETTLED:
             break
     inliers = observations.by_view([item[:, None].astype(np.float64) for item in kept])
     return RobustResult(
