@@ -18,6 +18,8 @@ import os, signal, sys
 from calichrome.cli.main import main
 from calichrome.pipeline.detection_cache import DetectionCache
 
+# a shell without a terminal starts its background jobs with this signal ignored
+signal.signal(signal.SIGINT, signal.default_int_handler)
 put, n_put = DetectionCache.put, 0
 
 def put_and_stop(self, context, seen):
