@@ -149,7 +149,8 @@ def _candidate(name: str, errors: FloatArray, pairs: ColourPairs) -> Candidate:
     """A model with these errors, as if it had been tried."""
     return Candidate(
         name=name, model=fit_model(name, pairs), fitted=pairs.xyz, left_out=pairs.xyz,
-        fit_delta_e=errors, left_out_delta_e=errors, stability=_STEADY, ns_per_pixel=1.0,
+        fit_delta_e=errors, left_out_delta_e=errors, stability=_STEADY, solver="closed form",
+        ns_per_pixel=1.0,
         why_not="",
     )  # fmt: skip
 

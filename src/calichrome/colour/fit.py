@@ -13,7 +13,7 @@ from calichrome.colour.families import fit_model
 from calichrome.colour.joint import JointColour, fit_together
 from calichrome.colour.model import ColourModel
 from calichrome.colour.models import MODELS
-from calichrome.colour.pairs import ColourPairs
+from calichrome.colour.pairs import ColourPairs, print_tolerance
 from calichrome.colour.samples import ColourSamples, combine_views
 from calichrome.colour.selection import AUTO, Candidate, select_model
 from calichrome.colour.uncertainty import bound_95, refit_covariance
@@ -22,10 +22,6 @@ from calichrome.target import Target
 
 __all__ = ["ColourSettings", "ColourSolution", "between_cameras", "fit_rig_colour"]
 
-_PRINTED_SD = 3.0
-"""Of L, a and b of a disc about its table, if the print was not measured: what DESIGN takes as the
-error of an uncalibrated printer."""
-_MEASURED_SD = 0.5  # the same if it was measured: repeatability of hand-held instruments
 _GREY = 1e-6  # of full scale, between channels: below the rounding of any file
 
 
@@ -153,7 +149,7 @@ class _Colours:
         xyz, first, of_marker = np.unique(
             target.marker_xyz_d65, axis=0, return_index=True, return_inverse=True
         )
-        spread = _MEASURED_SD if target.colours_measured else _PRINTED_SD
+        spread = print_tolerance(target)
         lab, step = lab_from_xyz(xyz), 1e-3
         slopes = np.stack(
             [

@@ -78,7 +78,7 @@ def fit_together(
     prior = np.linalg.inv(nominal_cov)
     latent = nominal_xyz if start is None or not share else start
     models: dict[str, ColourModel] = {}
-    total = prior
+    weight = prior
     for _ in range(_ROUNDS):
         weight, weighted = prior.copy(), np.einsum("dij,dj->di", prior, nominal_xyz)
         for camera, own in pairs.items():
@@ -92,11 +92,10 @@ def fit_together(
         if not share:
             return JointColour(models=models, latent_xyz=nominal_xyz, latent_cov=nominal_cov)
         before, latent = latent, np.linalg.solve(weight, weighted[..., None])[..., 0]
-        total = weight
         moved = _largest_step(next(iter(pairs.values())), latent, before)
         if moved < _SETTLED:
             break
-    return JointColour(models=models, latent_xyz=latent, latent_cov=np.linalg.inv(total))
+    return JointColour(models=models, latent_xyz=latent, latent_cov=np.linalg.inv(weight))
 
 
 def _largest_step(like: ColourPairs, after: FloatArray, before: FloatArray) -> float:

@@ -8,8 +8,14 @@ import numpy as np
 from calichrome.colorimetry.adaptation import D65
 from calichrome.colorimetry.description import DescriptionSpace, difference, metric
 from calichrome.core.arrays import BoolArray, FloatArray
+from calichrome.target import Target
 
-__all__ = ["ColourPairs"]
+__all__ = ["ColourPairs", "print_tolerance"]
+
+_PRINTED_SD = 3.0
+"""Of L, a and b of a disc about its table, if the print was not measured: what DESIGN takes as the
+error of an uncalibrated printer."""
+_MEASURED_SD = 0.5  # the same if it was measured: repeatability of hand-held instruments
 
 _LIGHT = 0.02
 """Relative error of a camera colour beyond its stated covariance: light that the white beside a
@@ -19,6 +25,11 @@ that noise stated; 0.01 is 0.005 dE better without noise and 0.02 worse with it.
 _MISFIT = 1.0
 """dE by which even an exact fit misses colours it has not seen: sensors are no observers. On the
 Munsell chips 0.5 to 1.5; factors of 2 change the errors there by less than 0.03."""
+
+
+def print_tolerance(target: Target) -> float:
+    """Return the standard deviation of L, a and b of a disc about its table."""
+    return _MEASURED_SD if target.colours_measured else _PRINTED_SD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -7,7 +7,7 @@ from time import process_time_ns
 import numpy as np
 
 from calichrome.colour.families import fit_model, leave_one_out, needed_colours
-from calichrome.colour.model import ColourModel
+from calichrome.colour.model import ColourModel, TermModel
 from calichrome.colour.models import MODELS
 from calichrome.colour.pairs import ColourPairs
 from calichrome.colour.stability import Stability, judge_stability
@@ -37,6 +37,8 @@ class Candidate:
         Their differences from the targets in the description space.
     stability
         None if there were too few colours.
+    solver
+        "closed form", or "iterative" where the mean error was asked for.
     ns_per_pixel
         Time that numpy takes to apply it, CPU nanoseconds; nan if there were too few colours.
     why_not
@@ -50,6 +52,7 @@ class Candidate:
     fit_delta_e: FloatArray
     left_out_delta_e: FloatArray
     stability: Stability | None
+    solver: str
     ns_per_pixel: float
     why_not: str
 
@@ -122,7 +125,7 @@ def _try(name: str, pairs: ColourPairs, *, mean_error: bool) -> Candidate:
         return Candidate(
             name=name, model=None, fitted=none, left_out=none, fit_delta_e=none,
             left_out_delta_e=none, stability=None,
-            ns_per_pixel=float("nan"),
+            solver="", ns_per_pixel=float("nan"),
             why_not=f"needs {needed_colours(name)} colours",
         )  # fmt: skip
     model = fit_model(name, pairs, mean_error=mean_error)
@@ -136,6 +139,7 @@ def _try(name: str, pairs: ColourPairs, *, mean_error: bool) -> Candidate:
         fit_delta_e=pairs.difference(fitted),
         left_out_delta_e=pairs.difference(left_out),
         stability=judge_stability(model, pairs),
+        solver="iterative" if mean_error and isinstance(model, TermModel) else "closed form",
         ns_per_pixel=_speed(model, pairs),
         why_not="",
     )

@@ -11,11 +11,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from calichrome.colour.tone_spline import N_BENDS, N_PARAMETERS, ToneSamples
 from calichrome.core.arrays import FloatArray, IntArray
-from calichrome.core.least_squares import Step
+from calichrome.core.least_squares import Step, damped_step
 
 __all__ = ["CurveAt", "ToneData", "ToneEquations", "ToneProblem", "ToneScales"]
 
@@ -128,15 +127,7 @@ class ToneEquations:
 
     def step(self, damping: float) -> Step | None:
         """Solve (H + damping diag H) d = -g; None if that is not positive definite."""
-        scale = np.sqrt(np.maximum(np.diag(self.hessian), 1e-300))
-        scaled = self.hessian / np.outer(scale, scale)
-        try:
-            factor = cho_factor(scaled + damping * np.eye(len(scale)))
-        except LinAlgError:
-            return None
-        vector = cho_solve(factor, -self.gradient / scale) / scale
-        predicted = -float(vector @ self.gradient) - 0.5 * float(vector @ self.hessian @ vector)
-        return Step(vector, predicted, float(np.max(np.abs(vector * scale))))
+        return damped_step(self.hessian, self.gradient, damping)
 
 
 class ToneProblem:

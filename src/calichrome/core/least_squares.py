@@ -19,6 +19,7 @@ __all__ = [
     "NormalEquations",
     "Step",
     "covariance_from_jacobian",
+    "damped_step",
     "inverse_of_scaled",
     "levenberg_marquardt",
 ]
@@ -82,6 +83,31 @@ class NormalEquations(Protocol):
 Equations = TypeVar("Equations", bound=NormalEquations)
 
 
+def damped_step(hessian: FloatArray, gradient: FloatArray, damping: float) -> Step | None:
+    """Solve (H + damping diag H) d = -g, scaled to a unit diagonal.
+
+    Parameters
+    ----------
+    hessian : (P, P) float
+    gradient : (P,) float
+    damping
+        As in `NormalEquations.step`.
+
+    Returns
+    -------
+    Step or None
+        None if the matrix is not positive definite.
+    """
+    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    try:
+        factor = cho_factor(hessian / np.outer(scale, scale) + damping * np.eye(len(scale)))
+    except LinAlgError:
+        return None
+    vector = cho_solve(factor, -gradient / scale) / scale
+    predicted = -float(vector @ gradient) - 0.5 * float(vector @ hessian @ vector)
+    return Step(vector, predicted, float(np.max(np.abs(vector * scale))))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DenseEquations:
     """Residuals (M,) and Jacobian (M, P) of a small problem."""
@@ -102,15 +128,7 @@ class DenseEquations:
     def step(self, damping: float) -> Step | None:
         """Solve the damped normal equations, scaled to a unit diagonal."""
         gradient = self.jacobian.T @ self.residuals
-        hessian = self.jacobian.T @ self.jacobian
-        scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-        try:
-            factor = cho_factor(hessian / np.outer(scale, scale) + damping * np.eye(len(scale)))
-        except LinAlgError:
-            return None
-        vector = cho_solve(factor, -gradient / scale) / scale
-        predicted = -float(vector @ gradient) - 0.5 * float(np.sum((self.jacobian @ vector) ** 2))
-        return Step(vector, predicted, float(np.max(np.abs(vector * scale))))
+        return damped_step(self.jacobian.T @ self.jacobian, gradient, damping)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -6,10 +6,9 @@ from functools import partial
 from typing import Literal, Protocol
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from calichrome.core.arrays import FloatArray, IntArray
-from calichrome.core.least_squares import Step, inverse_of_scaled, levenberg_marquardt
+from calichrome.core.least_squares import Step, damped_step, inverse_of_scaled, levenberg_marquardt
 from calichrome.core.pose import Pose
 from calichrome.geometry.bundle import BoardShape, BundleState, Observations, ObservedView
 from calichrome.geometry.bundle.blocks import view_blocks
@@ -79,15 +78,7 @@ class _Equations:
     gradient: FloatArray
 
     def step(self, damping: float) -> Step | None:
-        scale = np.sqrt(np.maximum(np.diag(self.hessian), 1e-300))
-        scaled = self.hessian / np.outer(scale, scale)
-        try:
-            factor = cho_factor(scaled + damping * np.eye(len(scale)))
-        except LinAlgError:
-            return None
-        vector = cho_solve(factor, -self.gradient / scale) / scale
-        predicted = -float(vector @ self.gradient) - 0.5 * float(vector @ self.hessian @ vector)
-        return Step(vector, predicted, float(np.max(np.abs(vector * scale))))
+        return damped_step(self.hessian, self.gradient, damping)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -202,7 +202,7 @@ def _candidate(item: Candidate) -> dict[str, object]:
         return row
     return row | {
         "n_free": item.model.n_free,
-        "solver": "closed form",
+        "solver": item.solver,
         "fit_mean": float(item.fit_delta_e.mean()),
         "left_out_mean": item.mean,
         "left_out_p95": float(np.quantile(item.left_out_delta_e, 0.95)),

@@ -15,7 +15,7 @@ from calichrome.pipeline.detect import (
     find_target,
     silent,
 )
-from calichrome.pipeline.tone import _read_again as read_again
+from calichrome.pipeline.tone import read_again
 from calichrome.rig import Evidence, Rig
 from calichrome.rig.check import Check, check_dataset
 

@@ -8,16 +8,17 @@ import numpy as np
 from calichrome.colorimetry.encoding import EncodingName, ToneCurve, encode, linearise
 from calichrome.colour.light import light_at
 from calichrome.colour.linearisation import CurveEstimate, estimate_curve
+from calichrome.colour.pairs import print_tolerance
 from calichrome.core.arrays import FloatArray
 from calichrome.core.findings import Finding, finding
 from calichrome.observations import BoardView, Dataset, DiscSamples
 from calichrome.target import Target
 
-__all__ = ["LinearisedViews", "linearise_camera"]
+__all__ = ["LinearisedViews", "linearise_camera", "read_again"]
 
-_PRINTED, _MEASURED = 0.09, 0.015
-"""Relative standard deviation of a disc's luminance: errors of sd 3 and 0.5 in L* (a unit of L* is
-about 3 % of Y)."""
+_SHARE_OF_Y = 0.03
+"""Relative change of Y for a unit of L*: 3 / (L* + 16) (from L* = 116 Y^(1/3) - 16) is 2.6 % at
+L* = 100, 4.5 % at 50; about what the light half of a card has."""
 _STEP = 1e-3  # of full scale, to carry covariances through a curve
 
 
@@ -65,7 +66,7 @@ def linearise_camera(
     findings = tuple(_told(camera, estimate))
     return LinearisedViews(
         views={
-            frame: replace(view, discs=_read_again(view.discs, assumed, estimate.encoding))
+            frame: replace(view, discs=read_again(view.discs, assumed, estimate.encoding))
             for frame, view in views.items()
         },
         encoding=estimate.encoding,
@@ -94,7 +95,7 @@ def _estimate(
         target.marker_xyz_d65,
         None if paper is None else np.asarray(paper),
         stored_sigma=np.concatenate(sigma) * _slope_of_encoding(mean, assumed),
-        nominal_sigma=_MEASURED if target.colours_measured else _PRINTED,
+        nominal_sigma=_SHARE_OF_Y * print_tolerance(target),
     )
 
 
@@ -105,9 +106,10 @@ def _slope_of_encoding(linear: FloatArray, encoding: EncodingName) -> FloatArray
     )
 
 
-def _read_again(
+def read_again(
     discs: DiscSamples | None, assumed: EncodingName, encoding: EncodingName | ToneCurve
 ) -> DiscSamples | None:
+    """Return the discs as another encoding reads what was read as `assumed`."""
     if discs is None or encoding == assumed:
         return discs
 
