@@ -27,7 +27,7 @@ from calichrome.colour.model import TermModel
 from calichrome.colour.models import MODELS
 from calichrome.colour.models.root_polynomial import RootPolynomial2, RootPolynomial2White
 from calichrome.colour.pairs import ColourPairs
-from calichrome.colour.uncertainty import bound_95, refit_covariance
+from calichrome.colour.uncertainty import bound_95, model_covariance
 from calichrome.core.arrays import FloatArray
 
 __all__ = ["FIGURES", "main"]
@@ -262,7 +262,7 @@ def _repeated(
             rgb, xyz, white_rgb=np.ones(3), adopted_white=white, rgb_cov=rgb_cov, xyz_cov=xyz_cov
         )
         corrected = fit_model(model.MODEL, pairs).apply(some)
-        return corrected, bound_95(corrected, refit_covariance(model.MODEL, pairs, some), white)
+        return corrected, bound_95(corrected, model_covariance(model.MODEL, pairs, some), white)
 
     exact, _ = fitted(train.rgb, train.xyz)
     roots = np.linalg.cholesky(xyz_cov)

@@ -15,8 +15,13 @@ import numpy as np
 from benchmarks.geometry.tables import print_table
 
 from calichrome.colorimetry.difference import delta_e_2000_xyz
-from calichrome.colour.fit import ColourSettings, ColourSolution, between_cameras, fit_rig_colour
 from calichrome.colour.flare import measure_additive
+from calichrome.colour.rig_fit import (
+    ColourSettings,
+    ColourSolution,
+    between_cameras,
+    fit_rig_colour,
+)
 from calichrome.colour.samples import collect_samples
 from calichrome.colour.shading import Vignetting
 from calichrome.colour.shading_fit import VignettingFit, fit_vignetting

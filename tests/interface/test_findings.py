@@ -17,7 +17,7 @@ from PIL import ExifTags
 from PIL import Image as PillowImage
 
 from calichrome.colorimetry.encoding import EncodingName, ToneCurve
-from calichrome.colour.fit import ColourSettings
+from calichrome.colour.rig_fit import ColourSettings
 from calichrome.core.arrays import FloatArray
 from calichrome.core.findings import SEVERITIES, Finding
 from calichrome.core.pose import Pose

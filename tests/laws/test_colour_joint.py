@@ -10,10 +10,10 @@ import pytest
 
 from calichrome.colorimetry.difference import delta_e_2000_xyz, lab_from_xyz, xyz_from_lab
 from calichrome.colorimetry.reference import WAVELENGTHS_NM, reflectance_to_xyz_d65
-from calichrome.colour.fit import ColourSettings, ColourSolution, fit_rig_colour
 from calichrome.colour.joint import JointColour, fit_together
 from calichrome.colour.model import ColourModel
 from calichrome.colour.pairs import ColourPairs
+from calichrome.colour.rig_fit import ColourSettings, ColourSolution, fit_rig_colour
 from calichrome.colour.samples import ColourSamples
 from calichrome.core.arrays import FloatArray
 from calichrome.synthetic.spectra import printed_palette

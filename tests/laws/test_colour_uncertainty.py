@@ -7,7 +7,6 @@ import pytest
 
 from calichrome.colorimetry.description import DESCRIPTION_SPACES, DescriptionSpace, difference
 from calichrome.colorimetry.difference import lab_from_xyz, xyz_from_lab
-from calichrome.colour import regression
 from calichrome.colour.model import TermModel
 from calichrome.colour.models import MODELS
 from calichrome.colour.models.linear import LinearWhite
@@ -21,10 +20,8 @@ PairsOf = Callable[..., ColourPairs]
 See = Callable[[str, FloatArray], FloatArray]
 
 _CAMERA = "Nikon 5100 (NPL)"
-_CASES = (
-    (_CAMERA, "linear-white"), ("bells", "root-polynomial-2"), (_CAMERA, "root-polynomial-2-white"),
-    ("bells", "hue-plane"),
-)  # fmt: skip
+_FREE = ((_CAMERA, "linear-white"), ("bells", "root-polynomial-2"))
+_CAMERAS = (_CAMERA, "Sigma SDMerill (NPL)", "bells")
 _DRAWS = 2000
 _NOISE, _PRINT_SD = 0.004, 0.5  # of a channel; in L, a and b
 
@@ -63,12 +60,6 @@ class _Lottery:
         )  # fmt: skip
 
 
-def _sampled(model: type[TermModel], lottery: _Lottery, rng: np.random.Generator) -> FloatArray:
-    """Coefficients of fits to draws, (draws, 3 P)."""
-    fits = [fit_terms(model, lottery.draw(rng))[0].coefficients.ravel() for _ in range(_DRAWS)]
-    return np.array(fits)
-
-
 def _corrected(model: TermModel, coefficients: FloatArray, rgb: FloatArray) -> FloatArray:
     """By the model with each row of coefficients, (draws, n, 3)."""
     balanced = rgb / model.white_rgb
@@ -85,21 +76,18 @@ def _unseen(camera: str, see: See) -> FloatArray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("camera", "name"), _CASES)
+@pytest.mark.parametrize(("camera", "name"), _FREE)
 def test_bounds_hold_in_95_of_100_cases(
-    camera: str, name: str, checker_pairs: PairsOf, see: See, rng: np.random.Generator,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    """Colours that were not on the chart, by fits to fresh noise; strengths are held."""
+    camera: str, name: str, checker_pairs: PairsOf, see: See, rng: np.random.Generator
+) -> None:
+    """Colours that were not on the chart, by fits to fresh noise."""
     model = MODELS[name]
     assert issubclass(model, TermModel)
     lottery = _Lottery(checker_pairs(camera), _NOISE, _PRINT_SD)
     fitted, solved = fit_terms(model, lottery.clean)
-    if model.N_SHRUNK:
-        # what choosing the strength adds is not in the stated covariance
-        monkeypatch.setattr(regression, "_STRENGTHS", np.array([solved.strength]))
     stated = propagate(fitted, solved, lottery.clean)
-    coefficients = _sampled(model, lottery, rng)
+    fits = [fit_terms(model, lottery.draw(rng))[0].coefficients.ravel() for _ in range(_DRAWS)]
+    coefficients = np.array(fits)
     rgb, white = _unseen(camera, see), lottery.clean.adopted_white
     truth = fitted.apply(rgb)
     corrected = _corrected(fitted, coefficients, rgb)
@@ -118,8 +106,35 @@ def test_bounds_hold_in_95_of_100_cases(
     spread = corrected.std(axis=0) / np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
     assert spread.min() > 0.9
     assert spread.max() < 1.15
-    if not model.N_SHRUNK:
-        _match(np.cov(coefficients.T), stated.matrix)
+    _match(np.cov(coefficients.T), stated.matrix)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["root-polynomial-2-white", "hue-plane"])
+@pytest.mark.parametrize(("noise", "print_sd"), [(0.01, 0.5), (0.01, 3.0)])
+def test_bounds_of_drawn_models_hold_in_95_of_100_cases(
+    name: str, noise: float, print_sd: float, checker_pairs: PairsOf, see: See,
+    rng: np.random.Generator,
+) -> None:  # fmt: skip
+    """Each repetition chooses its strength and states its own bound; 2000 over three cameras.
+
+    The bias that a pull leaves is a fixed number for one camera and one colour, so that the bound
+    can hold on average over cameras and colours, not for each alone.
+    """
+    model = MODELS[name]
+    assert issubclass(model, TermModel)
+    inside = []
+    for camera in _CAMERAS:
+        lottery = _Lottery(checker_pairs(camera), noise, print_sd)
+        rgb, white = _unseen(camera, see), lottery.clean.adopted_white
+        truth = fit_terms(model, lottery.clean)[0].apply(rgb)
+        for _ in range(_DRAWS // len(_CAMERAS)):
+            pairs = lottery.draw(rng)
+            fitted, solved = fit_terms(model, pairs)
+            corrected = fitted.apply(rgb)
+            bound = bound_95(corrected, propagate(fitted, solved, pairs).of_xyz(rgb), white)
+            inside.append(difference(corrected, truth, "lab2000", white) <= bound)
+    assert 0.93 <= np.mean(inside) <= 0.97
 
 
 def _hold(errors: FloatArray, bound: FloatArray) -> None:

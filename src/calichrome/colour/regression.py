@@ -43,6 +43,8 @@ class Regression:
         d coefficients / d relative target of each colour: the estimator itself.
     strength
         Of the pull; 0 where nothing is drawn.
+    penalty : (3 P, 3 P) float
+        What the pull of strength 1 costs, p_k W_mean along the diagonal; zero rows are not drawn.
     left_out : (N, 3) float
         What each relative target is predicted as by the others.
     """
@@ -50,6 +52,7 @@ class Regression:
     coefficients: FloatArray
     gain: FloatArray
     strength: float
+    penalty: FloatArray
     left_out: FloatArray
 
 
@@ -129,5 +132,6 @@ def _solve(
         coefficients=(vectors @ side).reshape(n_terms, 3),
         gain=np.einsum("av,niv->ani", vectors, weighted).reshape(n_terms, 3, n, 3),
         strength=float(strengths[best]) if n_shrunk else 0.0,
+        penalty=pull.T @ pull,
         left_out=left_out[best],
     )

@@ -3,18 +3,25 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag, solve_triangular
 from scipy.stats import chi2
 
 from calichrome.colorimetry.description import DescriptionSpace, metric
 from calichrome.colour.families import fit_model
 from calichrome.colour.model import TermModel
+from calichrome.colour.models import MODELS
+from calichrome.colour.models.white_balance import WhiteBalance
 from calichrome.colour.pairs import ColourPairs
-from calichrome.colour.regression import Regression
+from calichrome.colour.regression import Regression, fit_terms
 from calichrome.core.arrays import FloatArray
 
-__all__ = ["ColourCovariance", "bound_95", "propagate", "refit_covariance"]
+__all__ = ["ColourCovariance", "bound_95", "model_covariance", "propagate"]
 
 _REFITS = 60  # the sigma of a sigma is then 9 %
+_VARIANCES = 10.0 ** np.arange(-4, 4.1, 0.5)
+"""Of drawn coefficients, in units of their penalty: from far below what colours of 0.2 % noise tell
+to far above what any of 47 cameras needs (about 100, on ColorChecker and Munsell chips)."""
+_MISFITS = 10.0 ** np.arange(-2, 0.1, 0.5)  # of what is assumed, which a perfect sensor lacks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,29 +61,77 @@ class ColourCovariance:
 
 
 def propagate(model: TermModel, solved: Regression, pairs: ColourPairs) -> ColourCovariance:
-    """Carry the errors of the colours it was fitted to into a model.
+    """Covariance of a fitted model about the one that exact colours would have given.
 
-    An error of a camera colour acts like one of the target, seen through the model; the fit is
-    linear in the targets, so the covariance of the coefficients is G E G' with its gain G. What the
-    model cannot follow is no noise and has no part in it.
+    Two parts. An error of a camera colour acts like one of the target, seen through the model; the
+    fit is linear in the targets, so it leaves G E G' with its gain G. And the pull draws
+    coefficients c away from where exact colours would have them, by (G Phi - 1) c; how large they
+    are is told by the colours themselves (`_drawn_variance`). What the model cannot follow is no
+    noise and has no part in it.
     """
+    n, _ = pairs.rgb.shape
     jacobian = model.jacobian(pairs.rgb)
     seen = jacobian @ pairs.rgb_cov @ np.swapaxes(jacobian, 1, 2)
     errors = (seen + pairs.xyz_cov) / np.outer(pairs.white_xyz, pairs.white_xyz)
-    n_terms, _, n, _ = solved.gain.shape
-    gain = solved.gain.reshape(3 * n_terms, n, 3)
-    return ColourCovariance(
-        model=model, matrix=np.einsum("ani,nij,bnj->ab", gain, errors, gain, optimize=True)
-    )
+    gain = solved.gain.reshape(-1, n, 3)
+    total = np.einsum("ani,nij,bnj->ab", gain, errors, gain, optimize=True)
+    if model.N_SHRUNK:
+        design = np.asarray(np.kron(model.terms(pairs.balanced), np.eye(3)), dtype=np.float64)
+        unit = np.asarray(np.linalg.pinv(solved.penalty), dtype=np.float64)
+        prior = _drawn_variance(model, design, unit, errors, pairs) * unit
+        away = gain.reshape(len(gain), -1) @ design - np.eye(len(gain))
+        total = total + away @ prior @ away.T
+    return ColourCovariance(model=model, matrix=total)
 
 
-def refit_covariance(
+def _drawn_variance(
+    model: TermModel,
+    design: FloatArray,
+    prior: FloatArray,
+    errors: FloatArray,
+    pairs: ColourPairs,
+) -> float:
+    """Variance of the drawn coefficients in units of `prior`, expected from the colours fitted to.
+
+    Notes
+    -----
+    The targets are Gaussian with covariance E + m M + t Phi prior Phi': their errors, a share m of
+    the assumed misfit, and the drawn coefficients; the others are free, so what they can follow is
+    projected out (restricted likelihood [1]_). The posterior mean of t is taken over a grid, the
+    standard deviation sqrt(t) uniform beforehand [2]_, ln m uniform.
+
+    References
+    ----------
+    .. [1] D. A. Harville, "Maximum Likelihood Approaches to Variance Component Estimation", JASA 72
+       (358), 1977.
+    .. [2] A. Gelman, "Prior distributions for variance parameters in hierarchical models", Bayesian
+       Analysis 1 (3), 2006.
+    """
+    free = design[:, : -3 * model.N_SHRUNK]
+    others = np.linalg.qr(free, mode="complete")[0][:, free.shape[1] :]
+
+    def seen(matrix: FloatArray) -> FloatArray:
+        return np.asarray(others.T @ matrix @ others)
+
+    base = pairs.balanced[:, 1:2] if model.WHITE_EXACT else 0.0
+    wanted = others.T @ (pairs.relative - base).ravel()
+    noise = seen(block_diag(*errors))
+    misfit = seen(block_diag(*np.linalg.inv(pairs.whitening)))
+    drawn = seen(design @ prior @ design.T)
+    logs = np.empty((len(_VARIANCES), len(_MISFITS)))
+    for row, variance in enumerate(_VARIANCES):
+        for column, share in enumerate(_MISFITS):
+            factor = np.linalg.cholesky(noise + share * misfit + variance * drawn)
+            white = solve_triangular(factor, wanted, lower=True)
+            logs[row, column] = -0.5 * white @ white - np.log(np.diag(factor)).sum()
+    chances = np.exp(logs - logs.max()).sum(axis=1) * np.sqrt(_VARIANCES)
+    return float(chances @ _VARIANCES / chances.sum())
+
+
+def model_covariance(
     name: str, pairs: ColourPairs, rgb_linear: FloatArray, *, mean_error: bool = False
 ) -> FloatArray:
-    """Covariance of corrected colours (N, 3, 3), by fitting again to colours with new errors.
-
-    `propagate` holds the strength of the pull; here it is chosen anew each time, which moves a
-    model more than the errors alone do, and any model can be asked.
+    """Covariance of corrected colours (N, 3, 3) by what a model was fitted to.
 
     Parameters
     ----------
@@ -87,6 +142,16 @@ def refit_covariance(
     rgb_linear : (N, 3) float
     mean_error
         As in `fit_model`.
+    """
+    kind = MODELS[name]
+    if issubclass(kind, TermModel) and kind is not WhiteBalance:
+        fitted, solved = fit_terms(kind, pairs, mean_error=mean_error)
+        return propagate(fitted, solved, pairs).of_xyz(rgb_linear)
+    return _refit_covariance(name, pairs, rgb_linear)
+
+
+def _refit_covariance(name: str, pairs: ColourPairs, rgb_linear: FloatArray) -> FloatArray:
+    """Covariance of colours corrected by any model: it is fitted again to colours with new errors.
 
     References
     ----------
@@ -95,14 +160,14 @@ def refit_covariance(
     """
     rng = np.random.default_rng(0)
     roots = [_root(cov) for cov in (pairs.rgb_cov, pairs.xyz_cov)]
-    here = fit_model(name, pairs, mean_error=mean_error).apply(rgb_linear)
+    here = fit_model(name, pairs).apply(rgb_linear)
     total = np.zeros((len(rgb_linear), 3, 3))
     for _ in range(_REFITS):
         moved_rgb, moved_xyz = (
             np.einsum("nij,nj->ni", root, rng.normal(size=pairs.rgb.shape)) for root in roots
         )
         other = replace(pairs, rgb=pairs.rgb + moved_rgb, xyz=pairs.xyz + moved_xyz)
-        step = fit_model(name, other, mean_error=mean_error).apply(rgb_linear) - here
+        step = fit_model(name, other).apply(rgb_linear) - here
         total += step[:, :, None] * step[:, None, :]
     return total / _REFITS
 

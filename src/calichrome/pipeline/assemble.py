@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calichrome.colorimetry.encoding import EncodingName, ToneCurve
-from calichrome.colour.fit import ColourSolution, between_cameras
+from calichrome.colour.rig_fit import ColourSolution, between_cameras
 from calichrome.colour.selection import Candidate
 from calichrome.colour.shading import Vignetting
 from calichrome.core.arrays import FloatArray

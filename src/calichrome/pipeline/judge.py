@@ -6,7 +6,7 @@ import numpy as np
 
 from calichrome.colorimetry.encoding import EncodingName, ToneCurve
 from calichrome.colour.checks import exposure_jumps, grey_slope
-from calichrome.colour.fit import ColourSolution
+from calichrome.colour.rig_fit import ColourSolution
 from calichrome.colour.samples import ColourSamples
 from calichrome.core.arrays import FloatArray
 from calichrome.core.findings import Finding, finding

@@ -6,9 +6,9 @@ from typing import Literal
 
 from calichrome.colorimetry.description import DescriptionSpace
 from calichrome.colorimetry.encoding import EncodingName, ToneCurve
-from calichrome.colour.fit import ColourSettings, ColourSolution, fit_rig_colour
 from calichrome.colour.flare import measure_additive
 from calichrome.colour.illuminants import leave_out_other_light
+from calichrome.colour.rig_fit import ColourSettings, ColourSolution, fit_rig_colour
 from calichrome.colour.samples import ColourSamples, collect_samples
 from calichrome.colour.shading import Vignetting
 from calichrome.colour.shading_fit import VignettingFit, fit_vignetting

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-import calichrome.colour as cc
 from calichrome.colorimetry.adaptation import D65
 from calichrome.colorimetry.difference import delta_e_2000_xyz
 from calichrome.colorimetry.encoding import encode
@@ -53,12 +52,6 @@ def fitted(result: ChartFit | str) -> ChartFit:
 
 def codes(result: ChartFit) -> list[str]:
     return [doubt.code for doubt in result.doubts]
-
-
-def test_function_is_not_hidden_by_the_module_of_its_name() -> None:
-    from calichrome.colour.fit import ColourSettings  # noqa: F401
-
-    assert callable(cc.fit)
 
 
 def test_matrix_is_recovered(rng: np.random.Generator, reference: FloatArray) -> None:

@@ -11,8 +11,8 @@ import pytest
 from calichrome.apply import Corrector
 from calichrome.colorimetry.encoding import EncodingName, ToneCurve
 from calichrome.colorimetry.rgb_spaces import XYZ_FROM_RGB
-from calichrome.colour.fit import ColourSettings
 from calichrome.colour.models import MODELS
+from calichrome.colour.rig_fit import ColourSettings
 from calichrome.colour.shading import Vignetting
 from calichrome.core.arrays import FloatArray
 from calichrome.core.pose import Pose

@@ -3,6 +3,7 @@
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calichrome.colour.model import TermModel
 from calichrome.core.arrays import FloatArray
@@ -12,23 +13,7 @@ __all__ = ["HuePlane", "HuePlane2"]
 _OPPONENT = np.array([[2.0, -1.0, -1.0], [0.0, np.sqrt(3), -np.sqrt(3)]])
 _CHROMA = np.array([[1.0, -1.0, 0.0], [0.0, -1.0, 1.0]])
 
-
-def _hue(balanced: FloatArray, n_waves: int) -> tuple[FloatArray, FloatArray]:
-    """Cos and sin of 1..n times the hue, (..., 2n), and d / d balanced, (..., 2n, 3); 0 on grey."""
-    opponent = balanced @ _OPPONENT.T
-    radius = np.linalg.norm(opponent, axis=-1, keepdims=True)
-    is_grey = radius == 0
-    unit = np.where(is_grey, 0.0, opponent / np.where(is_grey, 1.0, radius))
-    turning = np.stack([-unit[..., 1], unit[..., 0]], axis=-1) / np.where(is_grey, np.inf, radius)
-    by_balanced = turning @ _OPPONENT  # d hue / d balanced
-    angle = unit[..., 0] + 1j * unit[..., 1]
-    waves, slopes = [], []
-    for order in range(1, n_waves + 1):
-        power = angle**order
-        waves += [power.real, power.imag]
-        slopes += [-order * power.imag[..., None] * by_balanced]
-        slopes += [order * power.real[..., None] * by_balanced]
-    return np.stack(waves, axis=-1), np.stack(slopes, axis=-2)
+_Phasors = NDArray[np.complex128]
 
 
 class HuePlane(TermModel):
@@ -36,6 +21,13 @@ class HuePlane(TermModel):
 
     Within a half plane of one hue (bounded by the grey axis) the matrix is one and the same, so
     exposure, shading and mixing with white leave the corrected hue plane as it is.
+
+    Notes
+    -----
+    With the opponent signals (r cos h, r sin h) of a colour, a matrix is a + b cos h + c sin h
+    times r, and one whose entries vary as cos h and sin h adds r, r cos 2h and r sin 2h: products
+    of two waves are waves of the sum and of the difference. Each further wave k adds r cos (k+1) h
+    and r sin (k+1) h alone.
 
     References
     ----------
@@ -45,30 +37,31 @@ class HuePlane(TermModel):
 
     __slots__ = ()
     MODEL: ClassVar[str] = "hue-plane"
-    N_WAVES: ClassVar[int] = 1
-    MIN_COLOURS: ClassVar[int] = 6
-    N_SHRUNK: ClassVar[int] = 4
+    MIN_COLOURS: ClassVar[int] = 5
+    N_SHRUNK: ClassVar[int] = 3
+    ORDERS: ClassVar[tuple[int, ...]] = (2,)
 
     @classmethod
     def terms(cls, balanced: FloatArray) -> FloatArray:
-        """R - G, B - G, then both times cos and sin of the hue."""
-        chroma = balanced @ _CHROMA.T
-        waves, _ = _hue(balanced, cls.N_WAVES)
-        varied = waves[..., :, None] * chroma[..., None, :]
-        return np.concatenate([chroma, varied.reshape(*chroma.shape[:-1], -1)], axis=-1)
+        """R - G, B - G, r, then r cos kh and r sin kh of each order k."""
+        phasor = _phasor(balanced)
+        radius = np.abs(phasor)
+        waves = [radius * _unit(phasor) ** order for order in cls.ORDERS]
+        varied = [part for wave in waves for part in (wave.real, wave.imag)]
+        return np.concatenate([balanced @ _CHROMA.T, np.stack([radius, *varied], -1)], axis=-1)
 
     @classmethod
     def slopes(cls, balanced: FloatArray) -> FloatArray:
         """Return d terms / d balanced, (..., P, 3)."""
-        chroma = balanced @ _CHROMA.T
-        waves, by_balanced = _hue(balanced, cls.N_WAVES)
-        varied = (
-            waves[..., :, None, None] * _CHROMA
-            + by_balanced[..., :, None, :] * chroma[..., None, :, None]
-        )
-        lead = chroma.shape[:-1]
-        first = np.broadcast_to(_CHROMA, (*lead, 2, 3))
-        return np.concatenate([first, varied.reshape(*lead, -1, 3)], axis=-2)
+        unit = _unit(_phasor(balanced))[..., None]
+        by_phasor = _OPPONENT[0] + 1j * _OPPONENT[1]
+        along = unit.conj() * by_phasor  # dr + i r dh
+        rows = [along.real]
+        for order in cls.ORDERS:
+            wave = unit**order * (along.real + 1j * order * along.imag)
+            rows += [wave.real, wave.imag]
+        first = np.broadcast_to(_CHROMA, (*balanced.shape[:-1], 2, 3))
+        return np.concatenate([first, np.stack(rows, axis=-2)], axis=-2)
 
 
 class HuePlane2(HuePlane):
@@ -76,6 +69,20 @@ class HuePlane2(HuePlane):
 
     __slots__ = ()
     MODEL: ClassVar[str] = "hue-plane-2"
-    N_WAVES: ClassVar[int] = 2
-    MIN_COLOURS: ClassVar[int] = 10
-    N_SHRUNK: ClassVar[int] = 8
+    MIN_COLOURS: ClassVar[int] = 7
+    N_SHRUNK: ClassVar[int] = 5
+    ORDERS: ClassVar[tuple[int, ...]] = (2, 3)
+
+
+def _phasor(balanced: FloatArray) -> _Phasors:
+    """Opponent signals as complex numbers r exp(ih), (...)."""
+    opponent = balanced @ _OPPONENT.T
+    return np.asarray(opponent[..., 0] + 1j * opponent[..., 1])
+
+
+def _unit(
+    phasor: _Phasors,
+) -> _Phasors:
+    """Return exp(ih); 0 on grey, where there is no hue."""
+    radius = np.abs(phasor)
+    return np.asarray(np.where(radius == 0, 0.0, phasor / np.where(radius == 0, 1.0, radius)))

@@ -16,7 +16,7 @@ from calichrome.colour.models import MODELS
 from calichrome.colour.pairs import ColourPairs, print_tolerance
 from calichrome.colour.samples import ColourSamples, combine_views
 from calichrome.colour.selection import AUTO, Candidate, select_model
-from calichrome.colour.uncertainty import bound_95, refit_covariance
+from calichrome.colour.uncertainty import bound_95, model_covariance
 from calichrome.core.arrays import BoolArray, FloatArray, IntArray
 from calichrome.target import Target
 
@@ -313,7 +313,7 @@ class _Joint:
 def _uncertainty(pairs: ColourPairs, name: str, settings: ColourSettings) -> FloatArray:
     """95 % bound of every corrected pair, by the model and its own noise."""
     model = fit_model(name, pairs, mean_error=settings.mean_error)
-    cov = refit_covariance(name, pairs, pairs.rgb, mean_error=settings.mean_error)
+    cov = model_covariance(name, pairs, pairs.rgb, mean_error=settings.mean_error)
     jacobian = model.jacobian(pairs.rgb)
     cov = cov + jacobian @ pairs.rgb_cov @ np.swapaxes(jacobian, 1, 2)
     return bound_95(model.apply(pairs.rgb), cov, pairs.adopted_white, pairs.space)
