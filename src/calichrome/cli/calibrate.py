@@ -14,6 +14,7 @@ from calichrome.imaging.sizes import parse_size
 from calichrome.pipeline.calibrate import CalibrationSettings, run, run_on_corners
 from calichrome.pipeline.detect import DetectionSettings
 from calichrome.report.text import summary
+from calichrome.report.text_candidates import candidates_text
 from calichrome.rig import rig_to_json, save_rig
 
 __all__ = ["Calibrate"]
@@ -37,6 +38,8 @@ class Calibrate(Command):
     """Use these corners (NAME.csv of `detect`) instead of detecting."""
     size: tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]] = ()
     """Picture sizes for --corners without a recording, like left=640x480, for each camera."""
+    candidates: Flag = False
+    """Also print what every colour model would have done, and why it lost."""
     force: Flag = False
     """Replace existing outputs."""
 
@@ -64,5 +67,8 @@ class Calibrate(Command):
             names = ", ".join(path.name for path in ignored[:5])
             more = ", ..." if len(ignored) > 5 else ""
             reading += f"ignored {len(ignored)} pictures: {names}{more}\n"
-        self.show(f"{reading}{summary(done.rig)}\nWrote {self.output}", rig_to_json(done.rig))
+        text = f"{reading}{summary(done.rig)}"
+        if self.candidates:
+            text += f"\n{candidates_text(done.rig)}\n"
+        self.show(f"{text}\nWrote {self.output}", rig_to_json(done.rig))
         return 0 if done.rig.trustworthy else 3

@@ -212,6 +212,7 @@ def _candidate(item: Candidate) -> dict[str, object]:
         "grey_monotone": stability.grey_monotone,
         "hue_reversals": stability.hue_reversals,
         "farthest": stability.farthest,
+        "ns_per_pixel": item.ns_per_pixel,
     }
 
 

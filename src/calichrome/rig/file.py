@@ -271,7 +271,11 @@ def _camera_to_json(camera: Camera) -> dict[str, Any]:
             "parameters": colour.model.to_json(),
             "white": {"rgb": colour.white_rgb.tolist()},
             "delta_e_2000": dict(colour.delta_e_2000),
-            "candidates": [dict(item) for item in colour.candidates],
+            "candidates": [
+                # a time is not the same twice, and the same recording gives the same file
+                {name: value for name, value in item.items() if name != "ns_per_pixel"}
+                for item in colour.candidates
+            ],
         },
     }
 
