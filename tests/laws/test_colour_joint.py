@@ -96,7 +96,6 @@ def test_the_order_of_cameras_means_nothing(chart: _Chart, rng: np.random.Genera
         for order in (("left", "right", "top"), ("top", "left", "right"))
     )
     np.testing.assert_allclose(turned.latent_xyz, found.latent_xyz, atol=1e-9)
-    np.testing.assert_allclose(turned.latent_cov, found.latent_cov, atol=1e-9)
     for camera, model in found.models.items():
         np.testing.assert_allclose(turned.models[camera].apply(rgb), model.apply(rgb), atol=1e-8)
 

@@ -36,12 +36,10 @@ class JointColour:
         By camera.
     latent_xyz : (D, 3) float
         What the discs look like, by all cameras and the table.
-    latent_cov : (D, 3, 3) float
     """
 
     models: Mapping[str, ColourModel]
     latent_xyz: FloatArray
-    latent_cov: FloatArray
 
 
 def fit_together(
@@ -75,27 +73,30 @@ def fit_together(
     mean_error
         As in `fit_model`.
     """
+
+    def fitted(camera: str, targets_xyz: FloatArray) -> tuple[ColourModel, ColourPairs]:
+        own = pairs[camera]
+        given = own.with_targets(targets_xyz[colours[camera]], np.zeros((len(own), 3, 3)))
+        return fit_model(names[camera], given, mean_error=mean_error), given
+
+    if not share:
+        models = {camera: fitted(camera, nominal_xyz)[0] for camera in pairs}
+        return JointColour(models=models, latent_xyz=nominal_xyz)
     prior = np.linalg.inv(nominal_cov)
-    latent = nominal_xyz if start is None or not share else start
-    models: dict[str, ColourModel] = {}
-    weight = prior
+    latent = nominal_xyz if start is None else start
+    models = {}
     for _ in range(_ROUNDS):
         weight, weighted = prior.copy(), np.einsum("dij,dj->di", prior, nominal_xyz)
-        for camera, own in pairs.items():
-            rows = colours[camera]
-            shared = own.with_targets(latent[rows], np.zeros((len(own), 3, 3)))
-            models[camera] = fit_model(names[camera], shared, mean_error=mean_error)
-            precision = np.linalg.inv(shared.errors_of_fit)
-            seen = models[camera].apply(own.rgb)
+        for camera, rows in colours.items():
+            models[camera], given = fitted(camera, latent)
+            precision = np.linalg.inv(given.errors_of_fit)
+            seen = models[camera].apply(given.rgb)
             np.add.at(weight, rows, precision)
             np.add.at(weighted, rows, np.einsum("nij,nj->ni", precision, seen))
-        if not share:
-            return JointColour(models=models, latent_xyz=nominal_xyz, latent_cov=nominal_cov)
         before, latent = latent, np.linalg.solve(weight, weighted[..., None])[..., 0]
-        moved = _largest_step(next(iter(pairs.values())), latent, before)
-        if moved < _SETTLED:
+        if _largest_step(next(iter(pairs.values())), latent, before) < _SETTLED:
             break
-    return JointColour(models=models, latent_xyz=latent, latent_cov=np.linalg.inv(weight))
+    return JointColour(models=models, latent_xyz=latent)
 
 
 def _largest_step(like: ColourPairs, after: FloatArray, before: FloatArray) -> float:

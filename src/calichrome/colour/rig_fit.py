@@ -73,7 +73,8 @@ class ColourSolution:
     disc_xyz, held_out_xyz : (n_markers, 3) float
         Corrected by the model, and by one fitted to all other colours.
     fit_delta_e, held_out_delta_e : (n_markers,) float
-        CIEDE2000 of these against the target; nan: unseen.
+        CIEDE2000 of these against the target, or against what the camera shows that all are to
+        look like; nan: unseen.
     uncertainty_delta_e : (n_markers,) float
         What noise and print tolerance let the corrected disc be off by in 95 of 100 cases; nan
         where it was not estimated.
@@ -195,6 +196,9 @@ def fit_rig_colour(
             results[camera] = found
         else:
             seen[camera] = found
+    if settings.look_of in seen:
+        seen, board = _as_shown_by(seen[settings.look_of], seen, board)
+        settings = replace(settings, share=False)
     tried: dict[str, tuple[Candidate, ...]] = {}
     names: dict[str, str] = {}
     for camera, own in list(seen.items()):
@@ -211,7 +215,7 @@ def fit_rig_colour(
     left_out = joint.leave_one_out(together)
     for camera, own in seen.items():
         results[camera] = _solution(
-            own, board, target, together.models[camera], left_out[camera], tried[camera],
+            own, board, together.models[camera], left_out[camera], tried[camera],
             _uncertainty(own.pairs, names[camera], settings),
         )  # fmt: skip
     return {camera: results[camera] for camera in samples}
@@ -261,6 +265,29 @@ def _see(
     )
 
 
+def _as_shown_by(
+    shown: _Seen, seen: Mapping[str, _Seen], board: _Colours
+) -> tuple[dict[str, _Seen], _Colours]:
+    """Take what one camera's pictures show, read as the sRGB they are taken for, as the target.
+
+    Colours that it did not see have no target, and are left out.
+    """
+    to_xyz = XYZ_FROM_RGB["srgb"]
+    xyz = np.full_like(board.xyz, np.nan)
+    xyz[shown.colours] = shown.pairs.rgb @ to_xyz.T
+    cov = board.cov.copy()
+    cov[shown.colours] = to_xyz @ shown.pairs.rgb_cov @ to_xyz.T
+    alike = {}
+    for camera, own in seen.items():
+        kept = np.isin(own.colours, shown.colours)
+        colours = own.colours[kept]
+        pairs = replace(own.pairs[kept], white_xyz=to_xyz @ shown.pairs.white_rgb)
+        alike[camera] = replace(
+            own, pairs=pairs.with_targets(xyz[colours], cov[colours]), colours=colours
+        )
+    return alike, replace(board, xyz=xyz, cov=cov)
+
+
 class _Joint:
     """All cameras, or all without a colour."""
 
@@ -274,17 +301,6 @@ class _Joint:
         self._names, self._settings = dict(names), settings
         self._nominal, self._cov = board.xyz, board.cov
         self._seen = dict(seen)
-        self._has_look = settings.look_of in seen
-        if settings.look_of is not None and self._has_look:
-            # its own pictures, read as the sRGB they are shown as, are the target of all
-            shown = seen[settings.look_of]
-            self._nominal = board.xyz.copy()
-            self._nominal[shown.colours] = shown.pairs.rgb @ XYZ_FROM_RGB["srgb"].T
-            white_xyz = XYZ_FROM_RGB["srgb"] @ shown.pairs.white_rgb
-            self._seen = {
-                camera: replace(own, pairs=replace(own.pairs, white_xyz=white_xyz))
-                for camera, own in seen.items()
-            }
 
     def fit(self, start: FloatArray | None = None, without: int | None = None) -> JointColour:
         """Fit all, or all without one colour."""
@@ -295,7 +311,7 @@ class _Joint:
         return fit_together(
             pairs, colours, self._names, self._nominal, self._cov,
             start=start,
-            share=self._settings.share and not self._has_look and len(pairs) > 1,
+            share=self._settings.share and len(pairs) > 1,
             mean_error=self._settings.mean_error,
         )  # fmt: skip
 
@@ -319,10 +335,9 @@ def _uncertainty(pairs: ColourPairs, name: str, settings: ColourSettings) -> Flo
     return bound_95(model.apply(pairs.rgb), cov, pairs.adopted_white, pairs.space)
 
 
-def _solution(  # noqa: PLR0917 (all that is known of a camera)
+def _solution(
     own: _Seen,
     board: _Colours,
-    target: Target,
     model: ColourModel,
     left_out: FloatArray,
     candidates: tuple[Candidate, ...],
@@ -331,18 +346,18 @@ def _solution(  # noqa: PLR0917 (all that is known of a camera)
     row_of = np.full(len(board.xyz), -1)
     row_of[own.colours] = np.arange(len(own.colours))
     rows = row_of[board.of_marker]
-    is_seen: BoolArray = np.asarray(np.isfinite(own.disc_rgb).all(axis=1))
+    is_seen: BoolArray = np.asarray(np.isfinite(own.disc_rgb).all(axis=1) & (rows >= 0))
     held_out = np.where(is_seen[:, None], left_out[rows], np.nan)
     disc_xyz = model.apply(own.disc_rgb)
-    nominal = target.marker_xyz_d65
+    wanted = board.xyz[board.of_marker]
     return ColourSolution(
         model=model,
         candidates=candidates,
         disc_rgb=own.disc_rgb,
         disc_xyz=disc_xyz,
         held_out_xyz=held_out,
-        fit_delta_e=delta_e_2000_xyz(disc_xyz, nominal),
-        held_out_delta_e=delta_e_2000_xyz(held_out, nominal),
+        fit_delta_e=delta_e_2000_xyz(disc_xyz, wanted),
+        held_out_delta_e=delta_e_2000_xyz(held_out, wanted),
         uncertainty_delta_e=np.where(is_seen, uncertainty[rows], np.nan),
         white_rgb=own.samples.reference_light_rgb,
         reasons=own.reasons,

@@ -235,6 +235,14 @@ def test_looks_keep_white(model: str, solve: Solve) -> None:
         )
 
 
+def test_errors_are_told_against_the_look(solve: Solve) -> None:
+    """The camera itself is its own look by a matrix, left-out discs too; against the target not."""
+    found = solve(ColourSettings(model="linear", look_of="a")).solutions["a"]
+    assert np.nanmax(found.held_out_delta_e) < 0.01
+    (candidate,) = found.candidates
+    assert candidate.left_out_delta_e.max() < 0.01
+
+
 # --- fall-off -------------------------------------------------------------------------------------
 
 
