@@ -1,72 +1,34 @@
-"""One camera's correction, compiled once: geometry, then colour."""
+"""One camera's correction, compiled once and applied to any number of frames."""
 
-from functools import cache
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from calichrome.colorimetry.encoding import EncodingName, ToneCurve, encode, linearise
+from calichrome.apply.correction import Correction, colour_of, map_grid, out_scale_of
+from calichrome.apply.frame_format import FrameFormat, PixelType
+from calichrome.apply.native_rows import NativeRows
+from calichrome.apply.opencv_rows import OpenCVRows
+from calichrome.apply.source_maps import SourceMap
 from calichrome.colorimetry.rgb_spaces import RGB_FROM_XYZ
-from calichrome.core.arrays import FloatArray
 from calichrome.errors import CalichromeError
-from calichrome.geometry.lenses import Lens
-from calichrome.imaging import Image, Pixels
+from calichrome.imaging import Pixels
+from calichrome.kernels import native
 from calichrome.rig import Camera
 
-__all__ = [
-    "OUTPUT_SPACES",
-    "Corrector",
-    "OutputSpace",
-    "SourceMap",
-    "rectifying_map",
-    "undistorting_map",
-]
+__all__ = ["OUTPUT_SPACES", "Corrector", "Kernel", "OutputSpace"]
 
 OutputSpace = Literal["srgb", "display-p3", "linear-srgb", "xyz-d65", "none"]
 OUTPUT_SPACES: tuple[OutputSpace, ...] = ("srgb", "display-p3", "linear-srgb", "xyz-d65", "none")
+Kernel = Literal["native", "opencv"]
 _ENCODED = {"srgb", "display-p3"}  # both store the sRGB transfer function
-_NOWHERE_PX = -1e4
-_ENTRIES = 65_536  # of the tables: one for every 16-bit value
-SourceMap = NDArray[np.float32]
-
-
-def undistorting_map(lens: Lens, size_wh: tuple[int, int]) -> SourceMap:
-    """Source pixel of every pixel of the distortion-free picture with the same K, (H, W, 2)."""
-    return _map_through(lens, np.asarray(np.linalg.inv(lens.matrix)), size_wh)
-
-
-def rectifying_map(
-    lens: Lens, rotation: FloatArray, matrix: FloatArray, size_wh: tuple[int, int]
-) -> SourceMap:
-    """Source pixel of every pixel of a rectified picture, (H, W, 2).
-
-    Parameters
-    ----------
-    lens
-        Of the camera.
-    rotation : (3, 3) float
-        rect_from_cam.
-    matrix : (3, 3) float
-        Pinhole of the rectified camera.
-    size_wh
-        Of the rectified picture.
-    """
-    return _map_through(lens, rotation.T @ np.linalg.inv(matrix), size_wh)
-
-
-def _map_through(lens: Lens, rays_from_pixels: FloatArray, size_wh: tuple[int, int]) -> SourceMap:
-    x, y = np.meshgrid(np.arange(size_wh[0]), np.arange(size_wh[1]))
-    pixels = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1).astype(np.float64)
-    rays = pixels @ rays_from_pixels.T
-    # what the camera cannot see comes from nowhere: outside the picture, so black
-    source = np.where(lens.sees(rays)[:, None], lens.project(rays), _NOWHERE_PX)
-    return source.reshape(size_wh[1], size_wh[0], 2).clip(_NOWHERE_PX, 1e5).astype(np.float32)
+_BAND = 32
+"""Rows that a thread takes at a time: a 1080p frame makes 34 shares, so threads end together."""
 
 
 class Corrector:
-    """Correct pictures of one camera.
+    """Correct frames of one camera.
 
     Parameters
     ----------
@@ -76,113 +38,212 @@ class Corrector:
         Colour space of the output; "none" leaves colours as they are.
     source_map : (H, W, 2) float32 or None
         Where each output pixel comes from; None leaves the geometry as it is.
+    frames
+        How frames are stored; the output has the same order of channels.
+    output
+        Numbers of the output; None: 8-bit frames stay 8 bit in the encoded spaces and become 16 bit
+        in "linear-srgb", 16-bit ones stay 16 bit, "xyz-d65" and float frames give float32.
+    n_threads
+        Threads that share the rows of each frame.
+    kernel
+        "native": the C extension; "opencv": OpenCV and numpy, many times slower; "auto": the first
+        that there is.
 
     Raises
     ------
     CalichromeError
-        If colours are asked for and the rig has none for this camera.
+        If colours are asked for and the rig has none for this camera, or frames are grey; or if
+        there is no C extension for "native".
+    ValueError
+        If `source_map` has another shape, `output` cannot hold `space`, or `n_threads` is below 1.
 
     Notes
     -----
-    8-bit pictures are widened to 16 bit before they are resampled, so that rounding comes last.
-    Immutable after construction and safe to share between threads.
+    Immutable, and safe to share between threads. Nothing is allocated per frame where `apply` is
+    given `out` and the kernel is "native".
+
+    Both kernels do the same: resample stored values bilinearly, remove the encoding, make up for
+    the fall-off of the lens, evaluate the colour model, encode, round. Models without closed form
+    (splines, tetrahedra, subspaces, local regression) are tabulated at 33^3 colours.
     """
 
+    __slots__ = ("_correction", "_executor", "_kernel", "_n_threads", "_rows")
+
     def __init__(
-        self, camera: Camera, space: OutputSpace = "srgb", source_map: SourceMap | None = None
+        self,
+        camera: Camera,
+        space: OutputSpace = "srgb",
+        source_map: SourceMap | None = None,
+        *,
+        frames: FrameFormat = FrameFormat(),  # noqa: B008 (immutable)
+        output: PixelType | None = None,
+        n_threads: int = 1,
+        kernel: Literal["auto"] | Kernel = "auto",
     ) -> None:
-        if space != "none" and camera.colour is None:
+        if n_threads < 1:
+            raise ValueError(f"n_threads={n_threads}: expected 1 or more")
+        if kernel == "native" and native is None:
             raise CalichromeError(
-                "this camera has no colour calibration; use --colour none, or calibrate with the "
-                "colour target"
+                "the C kernels are not installed; install calichrome again where there is a C "
+                "compiler, or leave the choice of the kernel to it"
             )
-        self._space: OutputSpace = space
-        self._source_map = source_map
-        self._colour = camera.colour
-        self._size_wh = camera.size_wh
-        self._gain = None if space == "none" else _gain(camera, source_map)
+        self._correction = _correction(camera, space, source_map, frames, output)
+        uses_native = native is not None and kernel != "opencv"
+        self._kernel: Kernel = "native" if uses_native else "opencv"
+        self._rows = (NativeRows if uses_native else OpenCVRows)(self._correction)
+        self._n_threads = n_threads
+        self._executor = ThreadPoolExecutor(n_threads - 1) if n_threads > 1 else None
 
-    def apply(self, image: Image) -> Pixels:
-        """Return the corrected pixels.
+    @property
+    def kernel(self) -> Kernel:
+        """Which code runs."""
+        return self._kernel
 
-        8-bit pictures stay 8 bit in the encoded spaces and become 16 bit in "linear-srgb"; 16-bit
-        ones stay 16 bit; "xyz-d65" and float pictures give float32.
+    @property
+    def output_shape(self) -> tuple[int, ...]:
+        """Of what `apply` returns: (H, W, 3), or (H, W) of grey frames."""
+        return _shape(self._correction.out_size_wh, self._correction.frames)
+
+    @property
+    def output_dtype(self) -> np.dtype[np.generic]:
+        """Of what `apply` returns."""
+        return np.dtype(self._correction.out_type)
+
+    def apply(self, frame: Pixels, out: Pixels | None = None) -> Pixels:
+        """Return the corrected frame.
+
+        Parameters
+        ----------
+        frame : (H, W, 3), or (H, W) if grey
+            As `frames` says; any strides.
+        out : `output_shape`, optional
+            Written and returned; pixels of a row lie side by side. It shares no memory with
+            `frame`.
 
         Raises
         ------
         CalichromeError
-            If the picture has another size than the camera, or is grey while colour is asked for.
+            If the frame has another size than the camera.
+        ValueError
+            If the frame is not stored as said, or `out` does not fit.
         """
-        if image.size_wh != self._size_wh:
-            raise CalichromeError(
-                f"the picture is {image.size_wh[0]}x{image.size_wh[1]}, the camera was calibrated "
-                f"at {self._size_wh[0]}x{self._size_wh[1]}; record at that size"
-            )
-        pixels = image.pixels
-        if self._space == "none":
-            return self._resample(pixels)
-        if not image.is_colour:
-            raise CalichromeError("the picture is grey; use --colour none")
-        assert self._colour is not None  # noqa: S101 (checked at construction)
-        curve = self._colour.encoding
-        if isinstance(curve, ToneCurve):
-            full_scale = 1.0 if pixels.dtype == np.float32 else image.full_scale
-            linear = curve.linearise(self._resample(pixels.astype(np.float32)) / full_scale)
-        elif pixels.dtype == np.float32:
-            linear = linearise(self._resample(pixels).astype(np.float64), image.encoding)
+        frame = self._checked(frame)
+        if out is None:
+            out = np.empty(self.output_shape, self.output_dtype)
         else:
-            widened = _widen(pixels, image.full_scale)
-            table = _linear_table(image.encoding)
-            linear = table[self._resample(widened)].astype(np.float64)
-        if self._gain is not None:
-            linear /= self._gain
-        xyz = self._colour.xyz_from_rgb(linear)
-        return self._store(xyz, pixels.dtype)
+            self._check_out(out, frame)
+        if self._executor is None:
+            self._rows.run(frame, out, 0, len(out))
+        else:
+            self._share(self._executor, frame, out)
+        return out
 
-    def _resample(self, pixels: Pixels) -> Pixels:
-        if self._source_map is None:
-            return pixels
-        resampled: Pixels = cv2.remap(
-            pixels, self._source_map, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
+    def _share(self, executor: ThreadPoolExecutor, frame: Pixels, out: Pixels) -> None:
+        """Let the threads take bands until none is left."""
+        bands = deque(range(0, len(out), _BAND))
+
+        def work() -> None:
+            while True:
+                try:
+                    first = bands.popleft()
+                except IndexError:
+                    return
+                self._rows.run(frame, out, first, min(first + _BAND, len(out)))
+
+        helpers = [executor.submit(work) for _ in range(self._n_threads - 1)]
+        try:
+            work()
+        finally:
+            bands.clear()
+            for helper in helpers:
+                if not helper.cancel():  # it may not have begun: others use the threads as well
+                    helper.result()
+
+    def _checked(self, frame: Pixels) -> Pixels:
+        frames, size_wh = self._correction.frames, self._correction.size_wh
+        if frame.dtype != np.dtype(frames.dtype):
+            raise ValueError(f"frame: expected {frames.dtype}, got {frame.dtype}")
+        if frame.ndim != (2 if frames.order == "grey" else 3) or frame.shape[2:] not in ((), (3,)):
+            wanted = "(H, W)" if frames.order == "grey" else "(H, W, 3)"
+            raise ValueError(f"frame: expected {wanted} for {frames.order}, got {frame.shape}")
+        if frame.shape[:2] != size_wh[::-1]:
+            raise CalichromeError(
+                f"the picture is {frame.shape[1]}x{frame.shape[0]}, the camera was calibrated at "
+                f"{size_wh[0]}x{size_wh[1]}; record at that size"
+            )
+        return frame if _has_whole_pixels(frame) else np.ascontiguousarray(frame)
+
+    def _check_out(self, out: Pixels, frame: Pixels) -> None:
+        if out.shape != self.output_shape or out.dtype != self.output_dtype:
+            raise ValueError(
+                f"out: expected {self.output_shape} {self.output_dtype}, got {out.shape} "
+                f"{out.dtype}"
+            )
+        if not (out.flags.writeable and _has_whole_pixels(out)):
+            raise ValueError("out: expected a writeable array whose pixels lie side by side")
+        if np.may_share_memory(out, frame):
+            raise ValueError("out: shares memory with frame")
+
+
+def _has_whole_pixels(pixels: Pixels) -> bool:
+    """Whether the pixels of each row lie side by side; rows may be anywhere."""
+    return bool(pixels.flags.aligned and pixels[0].flags.c_contiguous)
+
+
+def _shape(size_wh: tuple[int, int], frames: FrameFormat) -> tuple[int, ...]:
+    return (*size_wh[::-1], *(() if frames.order == "grey" else (3,)))
+
+
+def _correction(
+    camera: Camera,
+    space: OutputSpace,
+    source_map: SourceMap | None,
+    frames: FrameFormat,
+    output: PixelType | None,
+) -> Correction:
+    if source_map is not None and (
+        source_map.ndim != 3 or source_map.shape[2] != 2 or source_map.size == 0
+    ):
+        raise ValueError(f"source_map: expected shape (H, W, 2), got {source_map.shape}")
+    colour = None
+    if space != "none":
+        if camera.colour is None:
+            raise CalichromeError(
+                "this camera has no colour calibration; use --colour none, or calibrate with the "
+                "colour target"
+            )
+        if frames.order == "grey":
+            raise CalichromeError("the picture is grey; use --colour none")
+        if space == "xyz-d65" and output not in (None, "float32"):
+            raise ValueError(f"output={output!r}: XYZ needs float32")
+        colour = colour_of(
+            camera,
+            camera.colour,
+            frames,
+            source_map,
+            np.eye(3)
+            if space == "xyz-d65"
+            else RGB_FROM_XYZ["display-p3" if space == "display-p3" else "srgb"],
+            is_encoded=space in _ENCODED,
+            clips=space != "xyz-d65",
         )
-        return resampled
-
-    def _store(self, xyz: FloatArray, dtype: np.dtype[np.generic]) -> Pixels:
-        if self._space == "xyz-d65":
-            return xyz.astype(np.float32)
-        name = "display-p3" if self._space == "display-p3" else "srgb"
-        rgb = np.clip(xyz @ RGB_FROM_XYZ[name].T, 0, 1)
-        if self._space in _ENCODED:
-            rgb = encode(rgb, "srgb")
-        if dtype == np.float32:
-            return rgb.astype(np.float32)
-        if dtype == np.uint8 and self._space in _ENCODED:
-            return np.rint(rgb * 255).astype(np.uint8)
-        return np.rint(rgb * 65535).astype(np.uint16)
+    out_type = output or _usual_type(space, frames.dtype)
+    return Correction(
+        size_wh=camera.size_wh,
+        out_size_wh=camera.size_wh
+        if source_map is None
+        else (source_map.shape[1], source_map.shape[0]),
+        frames=frames,
+        out_type=out_type,
+        out_scale=out_scale_of(frames, out_type, has_colour=colour is not None),
+        map=None if source_map is None else map_grid(source_map, camera.size_wh),
+        colour=colour,
+    )
 
 
-def _gain(camera: Camera, source_map: SourceMap | None) -> SourceMap | None:
-    """Share of light that reaches each output pixel, (H, W, 3); None: not known."""
-    if camera.vignetting is None:
-        return None
-    if source_map is None:
-        return camera.vignetting.gain_map(camera.size_wh).astype(np.float32)
-    size_wh = np.array(camera.size_wh, dtype=np.float64)
-    # what comes from nowhere is black whatever it is divided by
-    inside = np.clip(source_map.astype(np.float64), 0, size_wh - 1)
-    return camera.vignetting.gain(inside).astype(np.float32)
-
-
-def _widen(pixels: Pixels, full_scale: float) -> NDArray[np.uint16]:
-    """Stretch integers to 0..65535 of full scale."""
-    if pixels.dtype == np.uint8:
-        return np.asarray(pixels.astype(np.uint16) * np.uint16(257))
-    if full_scale == 65535:
-        return np.asarray(pixels, dtype=np.uint16)
-    stretched = np.minimum(pixels / full_scale, 1) * 65535
-    return np.asarray(np.rint(stretched), dtype=np.uint16)
-
-
-@cache
-def _linear_table(encoding: EncodingName) -> SourceMap:
-    return linearise(np.arange(_ENTRIES) / (_ENTRIES - 1), encoding).astype(np.float32)
+def _usual_type(space: OutputSpace, dtype: PixelType) -> PixelType:
+    if space == "none":
+        return dtype
+    if space == "xyz-d65" or dtype == "float32":
+        return "float32"
+    return "uint8" if dtype == "uint8" and space in _ENCODED else "uint16"

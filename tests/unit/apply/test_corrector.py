@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from calichrome.apply import OUTPUT_SPACES, Corrector, OutputSpace, undistorting_map
+from calichrome.apply import (
+    OUTPUT_SPACES,
+    Corrector,
+    FrameFormat,
+    OutputSpace,
+    SourceMap,
+    undistorting_map,
+)
 from calichrome.core.arrays import FloatArray
 from calichrome.errors import CalichromeError
 from calichrome.geometry.lenses import BrownConrady
@@ -30,6 +37,15 @@ _RGB_FROM_XYZ = {
         ]
     ),
 }
+
+
+def _apply(
+    image: Image,
+    camera: Camera,
+    space: OutputSpace = "srgb",
+    source_map: SourceMap | None = None,
+) -> Pixels:
+    return Corrector(camera, space, source_map, frames=FrameFormat.of(image)).apply(image.pixels)
 
 
 def _smooth(rng: np.random.Generator, size_wh: tuple[int, int]) -> FloatArray:
@@ -68,7 +84,7 @@ def test_colours_of_8_bit_pictures(
     pixels = np.rint(_smooth(rng, camera.size_wh) * 255).astype(np.uint8)
     image = Image(pixels=pixels, encoding="srgb", bits=8)
     assert camera.colour is not None
-    corrected = Corrector(camera, space).apply(image)
+    corrected = _apply(image, camera, space)
     xyz = _from_srgb(pixels / 255) @ camera.colour.xyz_from_rgb(np.eye(3))
     wanted = {"srgb": np.uint8, "display-p3": np.uint8, "linear-srgb": np.uint16}
     assert corrected.dtype == wanted.get(space, np.float32)
@@ -81,7 +97,7 @@ def test_16_bit_in_16_bit_out(linear_camera: Camera, rng: np.random.Generator, b
     top = 2**bits - 1
     pixels = np.rint(_smooth(rng, linear_camera.size_wh) * top).astype(np.uint16)
     image = Image(pixels=pixels, encoding="linear", bits=bits)
-    corrected = Corrector(linear_camera, "srgb").apply(image)
+    corrected = _apply(image, linear_camera, "srgb")
     assert corrected.dtype == np.uint16
     assert linear_camera.colour is not None
     xyz = pixels / top @ linear_camera.colour.xyz_from_rgb(np.eye(3))
@@ -92,7 +108,7 @@ def test_16_bit_in_16_bit_out(linear_camera: Camera, rng: np.random.Generator, b
 def test_float_pictures_give_float(linear_camera: Camera, rng: np.random.Generator) -> None:
     pixels = _smooth(rng, linear_camera.size_wh).astype(np.float32)
     image = Image(pixels=pixels, encoding="linear", bits=32)
-    corrected = Corrector(linear_camera, "xyz-d65").apply(image)
+    corrected = _apply(image, linear_camera, "xyz-d65")
     assert corrected.dtype == np.float32
     assert linear_camera.colour is not None
     expected = pixels @ linear_camera.colour.xyz_from_rgb(np.eye(3))
@@ -103,7 +119,7 @@ def test_xyz_of_the_camera_white(linear_camera: Camera) -> None:
     """Channels are X, Y, Z with Y = 1 for the perfect diffuser."""
     width, height = linear_camera.size_wh
     image = Image(pixels=np.full((height, width, 3), 65535, np.uint16), encoding="linear", bits=16)
-    corrected = Corrector(linear_camera, "xyz-d65").apply(image)
+    corrected = _apply(image, linear_camera, "xyz-d65")
     # row sums of the matrix
     np.testing.assert_allclose(corrected[5, 5], [0.98, 1.0, 1.12], atol=1e-6)
 
@@ -112,9 +128,7 @@ def test_undistorted_picture_against_float64(camera: Camera, rng: np.random.Gene
     """Resample in light with another program's interpolation, then correct."""
     pixels = np.rint(_smooth(rng, camera.size_wh) * 255).astype(np.uint8)
     source = undistorting_map(camera.lens, camera.size_wh)
-    corrected = Corrector(camera, "srgb", source).apply(
-        Image(pixels=pixels, encoding="srgb", bits=8)
-    )
+    corrected = _apply(Image(pixels=pixels, encoding="srgb", bits=8), camera, "srgb", source)
     width, height = camera.size_wh
     x, y = source[..., 0].astype(np.float64), source[..., 1].astype(np.float64)
     inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
@@ -172,7 +186,7 @@ def test_what_the_camera_cannot_see_is_black(camera: Camera) -> None:
     folding = replace(camera.lens, k1=-0.9, k2=0.0, k3=0.0)
     source = undistorting_map(folding, camera.size_wh)
     image = Image(pixels=np.full((120, 160), 255, np.uint8), encoding="srgb", bits=8)
-    corrected = Corrector(camera, "none", source).apply(image)
+    corrected = _apply(image, camera, "none", source)
     x, y = np.meshgrid((np.arange(160) - 82) / 120, (np.arange(120) - 57) / 121)
     folded = x**2 + y**2 > 1 / (3 * 0.9) + 0.02  # where r (1 - 0.9 r^2) has turned back
     assert folded.any()
@@ -186,20 +200,20 @@ def test_none_leaves_numbers_alone(
 ) -> None:
     pixels = (_smooth(rng, camera.size_wh) * 200).astype(dtype)
     image = Image(pixels=pixels, encoding="srgb", bits=8 * pixels.dtype.itemsize)
-    np.testing.assert_array_equal(Corrector(camera, "none").apply(image), pixels)
+    np.testing.assert_array_equal(_apply(image, camera, "none"), pixels)
 
 
 def test_size_mismatch_is_refused(camera: Camera) -> None:
     image = Image(pixels=np.zeros((60, 80, 3), np.uint8), encoding="srgb", bits=8)
     with pytest.raises(CalichromeError, match=r"80x60.*160x120.*record at that size"):
-        Corrector(camera).apply(image)
+        _apply(image, camera)
 
 
 def test_grey_picture_is_refused_for_colour_only(camera: Camera) -> None:
     image = Image(pixels=np.zeros((120, 160), np.uint8), encoding="srgb", bits=8)
     with pytest.raises(CalichromeError, match="--colour none"):
-        Corrector(camera).apply(image)
-    assert Corrector(camera, "none").apply(image).shape == (120, 160)
+        _apply(image, camera)
+    assert _apply(image, camera, "none").shape == (120, 160)
 
 
 def test_camera_without_colour(camera: Camera) -> None:

@@ -14,7 +14,7 @@ from calichrome.core.pose import Pose
 from calichrome.errors import SolveError
 from calichrome.geometry.rectified_area import Framing, ValidArea
 from calichrome.imaging import write_picture
-from calichrome.pipeline.correct import rectify
+from calichrome.pipeline.rectify import rectify
 from calichrome.rig import Camera, Rig, save_rig
 from calichrome.target import chessboard
 
@@ -95,7 +95,8 @@ def test_black_borders(rig: Rig, recording: Path, tmp_path: Path, area: ValidAre
     )
     pictures = [_picture(tmp_path / "out", name) for name in ("left", "right")]
     assert all((picture == 0).any() for picture in pictures) == (area == "all")
-    shares = [result.a.share, result.b.share]
+    halves = result.rectification
+    shares = [halves.a.share, halves.b.share]
     assert (min(shares) == 1) == (area == "all")
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from calichrome.colour.model import TermModel
 from calichrome.core.arrays import FloatArray
 
-__all__ = ["Cheung7", "Cheung10", "Cheung11", "Cheung20"]
+__all__ = ["Cheung7", "Cheung10", "Cheung11", "Cheung20", "Polynomial"]
 
 _FIRST = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 _MIXED = ((1, 1, 0), (1, 0, 1), (0, 1, 1))
@@ -16,7 +16,7 @@ _CUBES = ((3, 0, 0), (0, 3, 0), (0, 0, 3))
 _MIXED_CUBES = ((2, 1, 0), (0, 2, 1), (1, 0, 2), (2, 0, 1), (1, 2, 0), (0, 1, 2))
 
 
-class _Polynomial(TermModel):
+class Polynomial(TermModel):
     """Monomials of balanced R, G, B by their exponents, (P, 3).
 
     References
@@ -50,7 +50,7 @@ class _Polynomial(TermModel):
         return np.stack(columns, axis=-1)
 
 
-class Cheung7(_Polynomial):
+class Cheung7(Polynomial):
     """R, G, B, RG, RB, GB, 1."""
 
     __slots__ = ()
@@ -59,7 +59,7 @@ class Cheung7(_Polynomial):
     MIN_COLOURS: ClassVar[int] = 7
 
 
-class Cheung10(_Polynomial):
+class Cheung10(Polynomial):
     """Degree 2 in full, RGB in place of nothing: R, G, B, RG, RB, GB, squares, 1."""
 
     __slots__ = ()
@@ -68,7 +68,7 @@ class Cheung10(_Polynomial):
     MIN_COLOURS: ClassVar[int] = 10
 
 
-class Cheung11(_Polynomial):
+class Cheung11(Polynomial):
     """Those of Cheung 10, and RGB."""
 
     __slots__ = ()
@@ -77,7 +77,7 @@ class Cheung11(_Polynomial):
     MIN_COLOURS: ClassVar[int] = 11
 
 
-class Cheung20(_Polynomial):
+class Cheung20(Polynomial):
     """Degree 3 in full."""
 
     __slots__ = ()

@@ -15,9 +15,16 @@ import numpy as np
 from calichrome.colour.model import TermModel
 from calichrome.core.arrays import FloatArray
 
-__all__ = ["RootPolynomial2", "RootPolynomial2White", "RootPolynomial3", "RootPolynomial3White"]
+__all__ = [
+    "LIFT",
+    "RootPolynomial",
+    "RootPolynomial2",
+    "RootPolynomial2White",
+    "RootPolynomial3",
+    "RootPolynomial3White",
+]
 
-_LIFT = 0.15
+LIFT = 0.15
 """Of the mean of the channels. The smallest balanced channel of 1269 Munsell chips under three
 lights, seen by 47 cameras, is 0.19 of it; from 0.005 to 0.2 the error on the chips changes by less
 than 0.02 dE, while the largest stretch of a difference in the camera cube falls from 24 to 8."""
@@ -32,18 +39,18 @@ _THIRDS = (
 
 
 def lifted(balanced: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the channels (..., 3), none below `_LIFT` of their mean, and the slopes (..., 3, 3).
+    """Return the channels (..., 3), none below `LIFT` of their mean, and the slopes (..., 3, 3).
 
     (c + sqrt(c^2 + 4 l^2 m^2)) / 2 with the mean m, over its value at c = m so that greys are kept.
     """
-    grey = (1 + np.sqrt(1 + 4 * _LIFT**2)) / 2
+    grey = (1 + np.sqrt(1 + 4 * LIFT**2)) / 2
     # of sizes: noise below black must not bring the level, and with it the floor, to 0
-    floor = _LIFT * np.abs(balanced).mean(axis=-1, keepdims=True)
+    floor = LIFT * np.abs(balanced).mean(axis=-1, keepdims=True)
     root = np.sqrt(balanced**2 + 4 * floor**2)
     safe = np.maximum(root, np.finfo(np.float64).tiny)
     by_own = (1 + balanced / safe) / 2
     by_floor = 2 * floor / safe
-    by_size = _LIFT * np.sign(balanced) / 3
+    by_size = LIFT * np.sign(balanced) / 3
     slopes = by_own[..., None] * np.eye(3) + by_floor[..., None] * by_size[..., None, :]
     return (balanced + root) / 2 / grey, slopes / grey
 
@@ -67,7 +74,7 @@ def deviation_slopes(balanced: FloatArray, exponents: FloatArray) -> FloatArray:
     return np.asarray(by_channel @ by_balanced)
 
 
-class _RootPolynomial(TermModel):
+class RootPolynomial(TermModel):
     """Matrix terms, then deviations of roots.
 
     References
@@ -97,7 +104,7 @@ class _RootPolynomial(TermModel):
         return np.concatenate([first, deviation_slopes(balanced, cls.EXPONENTS)], axis=-2)
 
 
-class RootPolynomial2(_RootPolynomial):
+class RootPolynomial2(RootPolynomial):
     """Degree 2: 18 numbers."""
 
     __slots__ = ()
@@ -107,7 +114,7 @@ class RootPolynomial2(_RootPolynomial):
     WHITE_EXACT: ClassVar[bool] = False
 
 
-class RootPolynomial2White(_RootPolynomial):
+class RootPolynomial2White(RootPolynomial):
     """Degree 2, white kept: 15 numbers, nine of them drawn towards a matrix."""
 
     __slots__ = ()
@@ -117,7 +124,7 @@ class RootPolynomial2White(_RootPolynomial):
     N_SHRUNK: ClassVar[int] = 3
 
 
-class RootPolynomial3(_RootPolynomial):
+class RootPolynomial3(RootPolynomial):
     """Degree 3: 39 numbers."""
 
     __slots__ = ()
@@ -127,7 +134,7 @@ class RootPolynomial3(_RootPolynomial):
     WHITE_EXACT: ClassVar[bool] = False
 
 
-class RootPolynomial3White(_RootPolynomial):
+class RootPolynomial3White(RootPolynomial):
     """Degree 3, white kept: 36 numbers, thirty of them drawn towards a matrix."""
 
     __slots__ = ()
