@@ -13,10 +13,10 @@ from av.video.stream import VideoStream
 
 from calichrome.core.arrays import UInt8Array
 from calichrome.errors import RecordingError
-from calichrome.imaging import Image, Recording, Unreadable, choose_frames, open_recording
-from calichrome.imaging import video as video_module
+from calichrome.imaging import Image, Recording, Unreadable, choose_frames, open_recording, pyav
 from calichrome.imaging.recording_times import read_timestamps
 from calichrome.imaging.video import grey_frames, open_video, read_frame
+from calichrome.imaging.yuv import rgb_of_frame
 
 WH = (320, 240)
 N_FRAMES = 40
@@ -89,7 +89,7 @@ def test_colours_follow_matrix_and_range(
         kind = np.uint16 if deep else np.uint8
         plane.update(np.full(plane.buffer_size // kind().itemsize, code, kind).tobytes())
     frame.colorspace, frame.color_range = matrix, 2 if full else 1
-    pixels = video_module._rgb_of(frame)[20, 20].astype(float)
+    pixels = rgb_of_frame(frame)[20, 20].astype(float)
 
     y, cb, cr = np.array([100, 110, 140]) - np.array([0 if full else 16, 128, 128])
     y, cb, cr = y / (255 if full else 219), cb / (255 if full else 224), cr / (255 if full else 224)
@@ -107,7 +107,7 @@ def test_white_of_ten_bits_is_full_scale() -> None:
     frame = av.VideoFrame(64, 48, "yuv420p10le")
     for plane, code in zip(frame.planes, (940, 512, 512), strict=True):
         plane.update(np.full(plane.buffer_size // 2, code, np.uint16).tobytes())
-    assert (video_module._rgb_of(frame) == 65535).all()
+    assert (rgb_of_frame(frame) == 65535).all()
 
 
 @pytest.mark.parametrize(("code", "encoding"), [(2, "rec709"), (1, "rec709"), (13, "srgb")])
@@ -168,7 +168,7 @@ def test_what_is_no_video_is_said(tmp_path: Path) -> None:
 def test_without_pyav_the_remedy_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _write(tmp_path / "cam0.mp4", _numbered, 3)
     monkeypatch.setitem(sys.modules, "av", None)
-    video_module._av.cache_clear()
+    pyav.av.cache_clear()
     with pytest.raises(RecordingError, match=r"calichrome\[video\]"):
         open_recording(tmp_path)
 

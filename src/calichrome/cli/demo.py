@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
-from calichrome.apply import Corrector, before_after_sheet, crop_around
+from calichrome.apply import Corrector, FrameFormat, before_after_sheet, crop_around
 from calichrome.cli.simulate import standard_target
 from calichrome.cli.terminal import Command, Flag, Output
 from calichrome.colorimetry.encoding import encode
@@ -16,7 +16,7 @@ from calichrome.core.files import check_folder, writing_folder
 from calichrome.errors import RecordingError
 from calichrome.imaging import Image, Recording, write_picture
 from calichrome.pipeline.calibrate import CalibrationSettings, run
-from calichrome.pipeline.correct import rectify
+from calichrome.pipeline.rectify import rectify
 from calichrome.report.text import summary, table, with_sigma
 from calichrome.rig import Camera, Rig, rig_to_json, save_rig
 from calichrome.synthetic import CameraTruth, Truth, demo_scene, read_truth, write_recording
@@ -126,7 +126,7 @@ def _sheet(rig: Rig, recording: Recording) -> UInt8Array:
         image = recording.read(name, frame_id)
         assert isinstance(image, Image)  # noqa: S101 (it was read during calibration)
         before = np.rint(encode(image.linear(), "srgb") * 255).astype(np.uint8)
-        after = Corrector(camera, "srgb").apply(image)
+        after = Corrector(camera, frames=FrameFormat.of(image)).apply(image.pixels)
         after8 = (after // 257).astype(np.uint8) if after.dtype == np.uint16 else after
         corners = _corners_px(rig, camera, frame_id)
         columns.append(

@@ -1,6 +1,6 @@
 """``calichrome rectify``."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -8,9 +8,11 @@ from tyro.conf import Positional
 
 from calichrome.apply import OutputSpace
 from calichrome.cli.terminal import Command, Flag, Output, names_from
+from calichrome.cli.video_lines import video_json, video_lines
 from calichrome.errors import RecordingError
 from calichrome.geometry.rectified_area import Framing, PrincipalPoints, ValidArea
-from calichrome.pipeline.correct import rectify
+from calichrome.imaging import VideoSettings
+from calichrome.pipeline.rectify import rectify
 from calichrome.rig import load_rig
 
 __all__ = ["Rectify"]
@@ -27,7 +29,7 @@ class Rectify(Command):
     pair: tuple[str, ...]
     """The two cameras, like left,right."""
     output: Annotated[Path, Output]
-    """Folder for <camera>/<frame>.png and rectification.json."""
+    """Folder for <camera>/<frame>.png or <camera>.mp4, and rectification.json."""
     pattern: str | None = None
     """How file names are built, as for calibrate."""
     valid_area: ValidArea = "all"
@@ -38,6 +40,8 @@ class Rectify(Command):
     """Colour space of the output; a camera without colour calibration stays as it is."""
     sheet: Path | None = None
     """Also write the first frame side by side, with lines along which points correspond."""
+    videos: VideoSettings = field(default_factory=VideoSettings)
+    """How videos are encoded."""
     force: Flag = False
     """Replace the output folder."""
 
@@ -47,7 +51,7 @@ class Rectify(Command):
         if len(names) != 2:
             raise RecordingError(f"--pair wants two cameras, like left,right; got {len(names)}")
         with self.progress() as progress:
-            result = rectify(
+            done = rectify(
                 load_rig(self.rig),
                 (names[0], names[1]),
                 self.source,
@@ -56,11 +60,14 @@ class Rectify(Command):
                 space=self.colour,
                 framing=Framing(area=self.valid_area, principal_points=self.principal_points),
                 sheet=self.sheet,
+                settings=self.videos,
                 force=self.force,
                 progress=progress,
             )
+        result = done.rectification
         text = (
-            f"Wrote rectified pictures of {' and '.join(names)} to {self.output}: f "
+            f"Wrote rectified {'videos' if done.videos else 'pictures'} of "
+            f"{' and '.join(names)} to {self.output}: f "
             f"{result.focal_px:.2f} px, baseline {abs(result.baseline_m) * 1e3:.2f} mm, "
             f"{'columns' if result.vertical else 'rows'} correspond; they show "
             f"{result.a.share:.0%} and {result.b.share:.0%} of the pictures"
@@ -72,11 +79,12 @@ class Rectify(Command):
                 f"wants positive ones takes --pair {names[1]},{names[0]}"
             )
         self.show(
-            text,
+            "\n".join([text, *video_lines(done.videos)]),
             {
                 "P1": result.a.projection.tolist(),
                 "P2": result.b.projection.tolist(),
                 "shares": [result.a.share, result.b.share],
+                "videos": video_json(done.videos),
             },
         )
         return 0

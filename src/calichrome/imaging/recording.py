@@ -4,7 +4,7 @@ import hashlib
 import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from calichrome.errors import RecordingError
@@ -13,7 +13,13 @@ from calichrome.imaging.header import Unreadable
 from calichrome.imaging.image import Image
 from calichrome.imaging.pattern import NamePattern
 from calichrome.imaging.recording_file import CameraEntry, RecordingFile, read_recording_file
-from calichrome.imaging.recording_videos import VideoFrames, open_videos, video_files
+from calichrome.imaging.recording_times import read_picture_times
+from calichrome.imaging.recording_videos import (
+    VideoFrames,
+    open_background_videos,
+    open_videos,
+    video_files,
+)
 from calichrome.imaging.video import read_frame
 
 __all__ = ["Recording", "open_recording", "picture_files", "read_names"]
@@ -41,6 +47,10 @@ class Recording:
         Larger pictures are refused before decoding.
     videos
         Where the frames are those of videos.
+    background
+        camera id -> frame id -> file of the empty scene; these are no frames of the recording.
+    background_videos
+        Where those are frames of videos.
     """
 
     folder: Path
@@ -50,6 +60,8 @@ class Recording:
     settings: RecordingFile = field(default_factory=RecordingFile)
     max_megapixels: float = MAX_MEGAPIXELS
     videos: VideoFrames = field(default_factory=VideoFrames)
+    background: Mapping[str, Mapping[str, Path]] = field(default_factory=dict)
+    background_videos: VideoFrames = field(default_factory=VideoFrames)
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -80,6 +92,16 @@ class Recording:
             max_megapixels=self.max_megapixels,
         )
 
+    def of_background(self) -> "Recording":
+        """Return the frames of the empty scene as a recording of their own."""
+        return replace(
+            self,
+            files=self.background,
+            videos=self.background_videos,
+            background={},
+            background_videos=VideoFrames(),
+        )
+
     def read_size(self, camera_id: str) -> tuple[int, int] | Unreadable:
         """Return width and height of a camera's first picture that can be read, undecoded."""
         if camera_id in self.videos.videos:
@@ -90,6 +112,18 @@ class Recording:
             if not isinstance(size, Unreadable):
                 return size
         return size
+
+    def times_s(self) -> Mapping[str, Mapping[str, float]]:
+        """Return camera id -> frame id -> seconds, as far as timestamps.csv says it.
+
+        Raises
+        ------
+        RecordingError
+            If the file is not as described.
+        """
+        if self.videos.videos:
+            return self.videos.table.times_s
+        return read_picture_times(self.folder / "timestamps.csv", self.files)
 
     def content_sum(self, camera_id: str, frame_id: str) -> str:
         """Return the SHA-256 sum that `Image.sha256` of a frame will be, without decoding it.
@@ -131,7 +165,7 @@ def open_recording(
     ----------
     folder
         ``folder/<camera>/<frame>.png``, a flat folder of one camera, what `pattern` says, or
-        videos ``folder/<camera>.mp4``.
+        videos ``folder/<camera>.mp4``; some of each only if not `synchronous`.
     pattern
         See `NamePattern`; over what recording.toml says.
     cameras
@@ -152,11 +186,16 @@ def open_recording(
     settings = read_recording_file(folder / "recording.toml")
     paths, clips = picture_files(folder), video_files(folder)
     text = pattern or settings.pattern
-    videos = VideoFrames()
+    videos = background_videos = VideoFrames()
+    stills = [path for path in paths if path.relative_to(folder).parts[0] != _BACKGROUND]
     if clips:
-        _check_only_videos(folder, paths, clips, text)
+        if synchronous or not stills:
+            _check_only_videos(folder, stills, clips, text)
         videos = open_videos(folder, clips, cameras=cameras, max_megapixels=max_megapixels)
         files, reading = _read_videos(videos)
+        background_videos = open_background_videos(folder / _BACKGROUND, videos, max_megapixels)
+        if stills:
+            files, reading = _with_pictures(files, *read_names(folder, stills, text))
     elif not paths:
         kinds = ", ".join(PICTURE_SUFFIXES)
         raise RecordingError(
@@ -165,7 +204,8 @@ def open_recording(
         )
     else:
         files, reading = read_names(folder, paths, text)
-    files = _without_background(files)
+    files, background = _split_background(files)
+    background.update(_read_videos(background_videos)[0])
     _check_entries(settings, {path.stem for path in clips} | set(files), folder)
     files = _only(files, cameras, folder)
     if synchronous:
@@ -182,6 +222,12 @@ def open_recording(
         settings=settings,
         max_megapixels=max_megapixels,
         videos=videos,
+        background={
+            camera: {frame: own[frame] for frame in sorted(own, key=_natural)}
+            for camera, own in background.items()
+            if camera in files
+        },
+        background_videos=background_videos,
     )
 
 
@@ -189,13 +235,12 @@ Files = dict[str, dict[str, Path]]
 
 
 def _check_only_videos(
-    folder: Path, paths: Sequence[Path], clips: Sequence[Path], pattern: str | None
+    folder: Path, stills: Sequence[Path], clips: Sequence[Path], pattern: str | None
 ) -> None:
-    used = [path for path in paths if path.relative_to(folder).parts[0] != _BACKGROUND]
-    if used:
+    if stills:
         raise RecordingError(
             f"{folder}: holds videos (like {clips[0].name}) and pictures (like "
-            f"{used[0].relative_to(folder)}); put one kind into another folder"
+            f"{stills[0].relative_to(folder)}); put one kind into another folder"
         )
     if pattern is not None:
         raise RecordingError(
@@ -212,6 +257,15 @@ def _read_videos(videos: VideoFrames) -> tuple[Files, str]:
     }
     extra = f"; {videos.table.reading}" if videos.table.reading else ""
     return files, f"videos are cameras: {', '.join(sorted(files, key=_natural))}{extra}"
+
+
+def _with_pictures(files: Files, pictures: Files, reading: str) -> tuple[Files, str]:
+    for camera in pictures:
+        if camera in files:
+            raise RecordingError(
+                f"camera {camera} has pictures and a video; put one of them into another folder"
+            )
+    return files | pictures, f"videos are cameras: {', '.join(files)}; {reading}"
 
 
 def read_names(folder: Path, paths: Sequence[Path], pattern: str | None) -> tuple[Files, str]:
@@ -346,13 +400,17 @@ def _most_shared(files: Files) -> int:
     return max(Counter(frame for frames in files.values() for frame in frames).values(), default=0)
 
 
-def _without_background(files: Files) -> Files:
-    kept = {
-        camera: {frame: path for frame, path in frames.items() if not frame.startswith(_BACKGROUND)}
-        for camera, frames in files.items()
-        if camera != _BACKGROUND
-    }
-    return {camera: frames for camera, frames in kept.items() if frames}
+def _split_background(files: Files) -> tuple[Files, Files]:
+    """Frames of the scene, and those of the empty scene."""
+    kept: Files = {}
+    background: Files = {}
+    for camera, frames in files.items():
+        if camera == _BACKGROUND:
+            continue
+        for frame, path in frames.items():
+            group = background if frame.startswith(_BACKGROUND) else kept
+            group.setdefault(camera, {})[frame] = path
+    return kept, background
 
 
 def _check_entries(settings: RecordingFile, known: Collection[str], folder: Path) -> None:

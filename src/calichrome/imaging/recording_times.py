@@ -4,13 +4,13 @@ import csv
 import math
 import re
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from calichrome.errors import RecordingError
 
-__all__ = ["FrameTable", "plain_frames", "read_timestamps"]
+__all__ = ["FrameTable", "plain_frames", "read_picture_times", "read_timestamps"]
 
 _OURS = ("camera", "frame", "time_s")
 _CALISCOPE = ("sync_index", "cam_id", "frame_index", "frame_time")
@@ -71,6 +71,39 @@ def read_timestamps(path: Path, n_frames: Mapping[str, int]) -> FrameTable:
         f"{path}: has the columns {', '.join(columns) or '(none)'}; wanted are {', '.join(_OURS)}, "
         f"or caliscope's {', '.join(_CALISCOPE)}"
     )
+
+
+def read_picture_times(
+    path: Path, frames: Mapping[str, Collection[str]]
+) -> dict[str, dict[str, float]]:
+    """Read the times of pictures: camera id -> frame id -> seconds.
+
+    Parameters
+    ----------
+    path
+        Columns camera, frame, time_s; rows of other frames, like those of the empty scene, are left
+        out. A missing file says nothing.
+    frames
+        camera id -> its frame ids.
+
+    Raises
+    ------
+    RecordingError
+        If the columns are others, or a time is no number.
+    """
+    if not path.is_file():
+        return {}
+    columns, rows = _read(path)
+    if not set(_OURS) <= set(columns):
+        raise RecordingError(
+            f"{path}: has the columns {', '.join(columns) or '(none)'}; wanted are "
+            f"{', '.join(_OURS)}"
+        )
+    times: dict[str, dict[str, float]] = defaultdict(dict)
+    for line, row in rows:
+        if row["frame"] in frames.get(row["camera"], ()):
+            times[row["camera"]][row["frame"]] = _number(path, line, row, "time_s")
+    return dict(times)
 
 
 def _read(path: Path) -> tuple[Sequence[str], list[tuple[int, Row]]]:

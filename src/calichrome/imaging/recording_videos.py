@@ -8,7 +8,7 @@ from calichrome.errors import RecordingError
 from calichrome.imaging.recording_times import FrameTable, plain_frames, read_timestamps
 from calichrome.imaging.video import VIDEO_SUFFIXES, Video, open_video
 
-__all__ = ["VideoFrames", "open_videos", "video_files"]
+__all__ = ["VideoFrames", "open_background_videos", "open_videos", "video_files"]
 
 _BACKGROUND = "background"
 
@@ -82,3 +82,16 @@ def open_videos(
     stamps = folder / "timestamps.csv"
     table = read_timestamps(stamps, n_frames) if stamps.is_file() else plain_frames(n_frames)
     return VideoFrames(videos=videos, table=table)
+
+
+def open_background_videos(folder: Path, videos: VideoFrames, max_megapixels: float) -> VideoFrames:
+    """Open the videos ``<folder>/<camera>.mp4`` of the empty scene, of cameras in `videos`."""
+    if not folder.is_dir():
+        return VideoFrames()
+    opened = {
+        path.stem: open_video(path, max_megapixels=max_megapixels)
+        for path in sorted(folder.iterdir())
+        if path.suffix.lower() in VIDEO_SUFFIXES and path.stem in videos.videos
+    }
+    table = plain_frames({camera: video.n_frames for camera, video in opened.items()})
+    return VideoFrames(videos=opened, table=table)

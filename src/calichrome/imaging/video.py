@@ -8,28 +8,37 @@ before them, and never more than one is kept.
 import hashlib
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
-from types import MappingProxyType, ModuleType
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calichrome.colorimetry.encoding import EncodingName
 from calichrome.core.arrays import UInt8Array
 from calichrome.errors import RecordingError
 from calichrome.imaging.header import Unreadable
-from calichrome.imaging.image import Image, Pixels
+from calichrome.imaging.image import Image
+from calichrome.imaging.pyav import av
+from calichrome.imaging.yuv import rgb_of_frame
 
 if TYPE_CHECKING:
     from av import VideoFrame
     from av.container import InputContainer
 
-__all__ = ["VIDEO_SUFFIXES", "Video", "grey_frames", "open_video", "read_frame"]
+__all__ = [
+    "VIDEO_SUFFIXES",
+    "Video",
+    "grey_frames",
+    "numbered",
+    "open_video",
+    "opened",
+    "read_frame",
+]
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".mts", ".m2ts")
 
@@ -38,12 +47,6 @@ _TRANSFERS = MappingProxyType({1: "rec709", 2: "rec709", 6: "rec709", 14: "rec70
 """ITU-T H.273, table 3 (transfer characteristics) -> encoding. 2 is unspecified: cameras then mean
 BT.709. BT.601 (6) and BT.2020 (14, 15) share its curve."""
 
-_MATRICES = MappingProxyType({1: 1, 4: 4, 5: 5, 6: 5, 7: 7, 9: 9, 10: 9})
-"""ITU-T H.273, table 4 (matrix coefficients) -> the matrices of libswscale."""
-
-_BT709, _BT601 = 1, 5
-_HD_LINES = 720  # from this height on, an unnamed matrix is that of BT.709, as players take it
-_FULL, _LIMITED = 2, 1
 _SOUGHT = ("mp4", "matroska")
 """Containers (libavformat's names) in which frames are sought by time. AVI, MPEG and MTS came back
 with other frames than asked for in 7 of 8 jumps (a test picture that holds its number)."""
@@ -93,7 +96,7 @@ def open_video(path: Path, *, max_megapixels: float) -> Video:
     RecordingError
         If the file is no video that can be read, too large, interlaced, or of high dynamic range.
     """
-    with _opened(path) as container:
+    with opened(path) as container:
         if not container.streams.video:
             raise RecordingError(f"{path}: holds no video; remove it")
         stream = container.streams.video[0]
@@ -135,26 +138,20 @@ def _sum_of(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-@cache
-def _av() -> ModuleType:
-    try:
-        import av
-    except ImportError as error:
-        raise RecordingError(
-            "reading videos needs PyAV, which is not installed; add it with pip install "
-            '"calichrome[video]", or extract the frames as PNG'
-        ) from error
-    return av
-
-
 @contextmanager
-def _opened(path: Path) -> Iterator["InputContainer"]:
-    av = _av()
+def opened(path: Path) -> Iterator["InputContainer"]:
+    """Open a video for reading.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be opened, or whatever is done with it inside fails.
+    """
     try:
-        with av.open(str(path)) as container:
+        with av().open(str(path)) as container:
             _use_threads(container)
             yield container
-    except (av.error.FFmpegError, OSError) as error:
+    except (av().error.FFmpegError, OSError) as error:
         raise RecordingError(
             f"{path}: cannot be read as a video ({error.strerror}); copy it again"
         ) from error
@@ -175,8 +172,8 @@ def grey_frames(video: Video) -> Iterator[tuple[int, UInt8Array]]:
     RecordingError
         If the file cannot be decoded, or is interlaced.
     """
-    with _opened(video.path) as container:
-        for index, frame in _numbered(video, container, 0):
+    with opened(video.path) as container:
+        for index, frame in numbered(video, container, 0):
             if frame.interlaced_frame:
                 raise RecordingError(
                     f"{video.path}: is interlaced, so that a frame mixes two instants; "
@@ -186,35 +183,49 @@ def grey_frames(video: Video) -> Iterator[tuple[int, UInt8Array]]:
                 yield index, frame.to_ndarray(format="gray").astype(np.uint8, copy=False)
 
 
-def _numbered(
+def numbered(
     video: Video, container: "InputContainer", first: int
-) -> Iterator[tuple[int, "VideoFrame"]]:
+) -> Generator[tuple[int, "VideoFrame"]]:
     """Decode on; number frames by their time, or count them from `first`."""
     stream = container.streams.video[0]
     numbers = _numbers(video)
-    for count, frame in enumerate(_decoded(container, stream), first):
+    frames = _decoded(container, stream, skips_damage=numbers is not None)
+    for count, frame in enumerate(frames, first):
         if numbers is None:
             yield count, frame
         elif frame.pts in numbers:
             yield numbers[frame.pts], frame
 
 
-def _decoded(container: "InputContainer", stream: Any) -> Iterator["VideoFrame"]:  # noqa: ANN401
-    """Decode until the end, or until the file is found cut off: what came before is good."""
-    av = _av()
-    frames = container.decode(stream)
+def _decoded(
+    container: "InputContainer",
+    stream: Any,  # noqa: ANN401 (a type of PyAV)
+    *,
+    skips_damage: bool,
+) -> Iterator["VideoFrame"]:
+    """Decode until the end, or until the file is found cut off: what came before is good.
+
+    Behind a damaged packet it goes on only if frames are not numbered by counting them.
+    """
+    damage = av().error.InvalidDataError
+    failure = None
     n_decoded = 0
+    packets = container.demux(stream)
     while True:
         try:
-            frame = next(frames, None)
-        except av.error.InvalidDataError:
-            if n_decoded == 0:
-                raise
-            return
-        if frame is None:
-            return
-        n_decoded += 1
-        yield frame
+            packet = next(packets, None)
+            frames = [] if packet is None else packet.decode()
+        except damage as error:
+            failure = error
+            if packet is None or not skips_damage:
+                break
+            continue
+        if packet is None:
+            break
+        n_decoded += len(frames)
+        yield from frames
+    if failure is not None and n_decoded == 0:
+        raise failure
 
 
 @lru_cache(maxsize=_KEPT_OPEN)
@@ -232,9 +243,9 @@ class _Reader:
         self._open()
 
     def _open(self) -> None:
-        self._container: InputContainer = _av().open(str(self.video.path))
+        self._container: InputContainer = av().open(str(self.video.path))
         _use_threads(self._container)
-        self._frames = _numbered(self.video, self._container, 0)
+        self._frames = numbered(self.video, self._container, 0)
         self._next = 0
 
     def read(self, index: int) -> "VideoFrame | None":
@@ -253,7 +264,7 @@ class _Reader:
         stamps = self.video.timestamps
         if stamps is not None:
             self._container.seek(stamps[index], stream=self._container.streams.video[0])
-            self._frames = _numbered(self.video, self._container, 0)
+            self._frames = numbered(self.video, self._container, 0)
             self._next = index
         elif index < self._next:
             self.close()
@@ -300,16 +311,15 @@ def read_frame(
     More than 8 bits come as 16-bit pixels that use the whole range. A rotation that the file asks
     players for is not applied: it would change the pixel frame of the lens.
     """
-    av = _av()
     try:
         frame = _reader(video).read(index)
-    except (av.error.FFmpegError, OSError) as error:
+    except (av().error.FFmpegError, OSError) as error:
         return Unreadable(f"cannot be decoded ({error.strerror}); copy the video again")
     if frame is None or frame.is_corrupt:
         return Unreadable("cannot be decoded, the video is damaged there; copy it again")
     if (frame.width, frame.height) != video.size_wh:
         return Unreadable(f"is {frame.width}x{frame.height}, unlike the start of the video")
-    pixels = _rgb_of(frame)
+    pixels = rgb_of_frame(frame)
     full_bits = 8 * pixels.dtype.itemsize
     return Image(
         pixels=pixels,
@@ -318,35 +328,3 @@ def read_frame(
         sha256=video.frame_sum(index),
         rotation_tag=_ROTATION_TAGS.get(int(frame.rotation) % 360, 1),
     )
-
-
-def _rgb_of(frame: "VideoFrame") -> Pixels:
-    """Return RGB of full range, or grey; 8 or 16 bit."""
-    layout = frame.format
-    deep = max(part.bits for part in layout.components) > 8
-    is_grey = len([part for part in layout.components if not part.is_alpha]) == 1
-    if layout.is_rgb:
-        return frame.to_ndarray(format="rgb48le" if deep else "rgb24")
-    is_full = frame.color_range == _FULL or layout.name.startswith("yuvj")
-    guess = _BT709 if frame.height >= _HD_LINES else _BT601
-    converted = frame.reformat(
-        format=("gray16le" if deep else "gray") if is_grey else "rgb48le" if deep else "rgb24",
-        src_colorspace=_MATRICES.get(frame.colorspace, guess),
-        src_color_range=_FULL if is_full else _LIMITED,
-        dst_color_range=_FULL,
-        interpolation=_scaling(),
-    )
-    pixels = np.ascontiguousarray(converted.to_ndarray())
-    return _stretched(pixels) if deep and not is_grey else pixels
-
-
-def _stretched(pixels: Pixels) -> NDArray[np.uint16]:
-    """Take libswscale's white of 255 * 256 to 65535."""
-    return np.minimum(pixels.astype(np.uint32) * 257 // 256, 65535).astype(np.uint16)
-
-
-@cache
-def _scaling() -> int:
-    """Chroma between its samples by cubics, at full accuracy: the default drops bits."""
-    kinds = _av().video.reformatter.Interpolation
-    return int(kinds.BICUBIC | kinds.ACCURATE_RND | kinds.FULL_CHR_H_INT)

@@ -8,47 +8,13 @@ import numpy as np
 import pytest
 
 from calichrome.apply import OutputSpace
-from calichrome.colour.models.linear import Linear
-from calichrome.core.pose import Pose
 from calichrome.errors import CalichromeError, OutputError, RecordingError
-from calichrome.geometry.lenses import BrownConrady
 from calichrome.imaging import Pixels, write_picture
-from calichrome.pipeline.correct import correct, rectify
-from calichrome.rig import Camera, CameraColour, Rig
-from calichrome.target import chessboard
+from calichrome.pipeline.correct import correct
+from calichrome.pipeline.rectify import rectify
+from calichrome.rig import Rig
 
 _SIZE_WH = (32, 24)
-
-
-@pytest.fixture
-def rig() -> Rig:
-    """Two pinholes side by side; linear camera values are XYZ."""
-    lens = BrownConrady(fx=30, fy=30, cx=15.5, cy=11.5)
-    left = Camera(
-        size_wh=_SIZE_WH,
-        lens=lens,
-        lens_sigma=dict.fromkeys(lens.NAMES),
-        cam_from_ref=Pose.identity(),
-        sigma_rad=None,
-        sigma_m=None,
-        n_views=12,
-        n_corners=600,
-        rms_px=0.1,
-        colour=CameraColour(
-            model=Linear.from_matrix(np.eye(3)),
-            encoding="linear",
-            white_rgb=np.ones(3),
-            delta_e_2000={"fit_mean": 1.0, "held_out_mean": 1.0, "held_out_p95": 1.0},
-        ),
-    )
-    right = replace(left, cam_from_ref=Pose(np.eye(3), np.array([-0.1, 0, 0])))
-    return Rig(
-        target=chessboard((9, 6), (0.03, 0.03)),
-        reference_camera="left",
-        cameras={"left": left, "right": right},
-        pairs=(),
-        frames={},
-    )
 
 
 def _filled(value: float, dtype: type[np.generic]) -> Pixels:
@@ -74,9 +40,11 @@ def test_formats_of_the_contract(
     """8 bit gives PNG, JPEG gives JPEG, 16 bit and float give TIFF."""
     for camera in ("left", "right"):
         write_picture(tmp_path / "in" / camera / name, _filled(100, dtype))
-    paths, _ = correct(rig, tmp_path / "in", tmp_path / "out", space=space)
-    assert paths == [tmp_path / "out" / camera / written for camera in ("left", "right")]
-    assert all(path.is_file() for path in paths)
+    done = correct(rig, tmp_path / "in", tmp_path / "out", space=space)
+    assert list(done.written) == [
+        tmp_path / "out" / camera / written for camera in ("left", "right")
+    ]
+    assert all(path.is_file() for path in done.written)
 
 
 def test_bits_of_recording_toml(rig: Rig, tmp_path: Path) -> None:
@@ -84,8 +52,8 @@ def test_bits_of_recording_toml(rig: Rig, tmp_path: Path) -> None:
     for camera in ("left", "right"):
         write_picture(tmp_path / "in" / camera / "1.png", _filled(2048, np.uint16))
     (tmp_path / "in" / "recording.toml").write_text('bits = 12\nencoding = "linear"\n')
-    (path, _), _ = correct(rig, tmp_path / "in", tmp_path / "out", space="xyz-d65")
-    stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    done = correct(rig, tmp_path / "in", tmp_path / "out", space="xyz-d65")
+    stored = cv2.imread(str(done.written[0]), cv2.IMREAD_UNCHANGED)
     assert stored is not None
     np.testing.assert_allclose(stored[3, 4, ::-1], [2048 / 4095, 2048 / 4095, 0], atol=1e-4)
 
@@ -93,14 +61,14 @@ def test_bits_of_recording_toml(rig: Rig, tmp_path: Path) -> None:
 def test_single_picture_and_flat_folder(rig: Rig, tmp_path: Path) -> None:
     picture = tmp_path / "flat" / "7.png"
     write_picture(picture, _filled(90, np.uint8))
-    assert correct(rig, picture, tmp_path / "a", camera="right")[0] == [
-        tmp_path / "a" / "right" / "7.png"
-    ]
-    assert correct(rig, picture.parent, tmp_path / "b", camera="left")[0] == [
-        tmp_path / "b" / "left" / "7.png"
-    ]
+    assert correct(rig, picture, tmp_path / "a", camera="right").written == (
+        tmp_path / "a" / "right" / "7.png",
+    )
+    assert correct(rig, picture.parent, tmp_path / "b", camera="left").written == (
+        tmp_path / "b" / "left" / "7.png",
+    )
     only = replace(rig, cameras={"left": rig.cameras["left"]})
-    assert correct(only, picture, tmp_path / "c")[0] == [tmp_path / "c" / "left" / "7.png"]
+    assert correct(only, picture, tmp_path / "c").written == (tmp_path / "c" / "left" / "7.png",)
 
 
 def test_failure_half_way_leaves_nothing(rig: Rig, tmp_path: Path) -> None:
@@ -119,8 +87,8 @@ def test_recording_is_never_replaced(rig: Rig, tmp_path: Path) -> None:
     for output in (tmp_path / "in", tmp_path):
         with pytest.raises(OutputError, match="which is read"):
             correct(rig, tmp_path / "in", output, force=True)
-    inside, _ = correct(rig, tmp_path / "in", tmp_path / "in" / "corrected")
-    assert inside[0].is_file()
+    inside = correct(rig, tmp_path / "in", tmp_path / "in" / "corrected")
+    assert inside.written[0].is_file()
 
 
 def test_rectified_float_pictures_are_not_black(rig: Rig, tmp_path: Path) -> None:
