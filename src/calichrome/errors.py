@@ -11,6 +11,7 @@ __all__ = [
     "DetectionError",
     "DisconnectedRigError",
     "FileFormatError",
+    "InterruptedOutputError",
     "OutputError",
     "RecordingError",
     "SolveError",
@@ -36,6 +37,10 @@ class FileFormatError(CalichromeError):
 
 class OutputError(CalichromeError):
     """An output cannot be written, or would overwrite something."""
+
+
+class InterruptedOutputError(OutputError):
+    """Ctrl-C ended the work; what was done is kept under names that say so."""
 
 
 class DetectionError(CalichromeError):

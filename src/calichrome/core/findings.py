@@ -55,6 +55,14 @@ SEVERITIES: Mapping[str, Severity] = MappingProxyType(
         "correlated_noise": "note",
         "colour_not_calibrated": "note",
         "clipped_discs": "warning",
+        "coarse_table": "warning",
+        "setting_not_locked": "warning",
+        "slow_camera": "warning",
+        "frozen_camera": "critical",
+        "camera_lost": "critical",
+        "time_unknown": "note",
+        "frames_apart": "warning",
+        "calibration_taken_as_exact": "note",
     }
 )
 """Every finding there is, with its severity."""

@@ -1,11 +1,12 @@
-"""Lengths as people type them: a number with its unit."""
+"""Lengths and durations as people type them: a number with its unit."""
 
 import math
 import re
 
-__all__ = ["parse_length", "parse_lengths"]
+__all__ = ["parse_duration", "parse_length", "parse_lengths"]
 
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
+_SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0}
 _LENGTH = re.compile(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(mm|cm|m|in)?\s*")
 
 
@@ -48,3 +49,22 @@ def parse_lengths(text: str) -> tuple[float, float]:
     if unit is not None and re.search(r"[a-z]", first) is None:
         first += unit[0]
     return parse_length(first), parse_length(second)
+
+
+def parse_duration(text: str) -> float:
+    """Return seconds.
+
+    Raises
+    ------
+    ValueError
+        If the text is not a number with its unit.
+
+    Examples
+    --------
+    >>> parse_duration("2s"), parse_duration("500ms")
+    (2.0, 0.5)
+    """
+    match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*(ms|s|min)\s*", text)
+    if match is None:
+        raise ValueError(f"{text!r} is not a duration: write a number and ms, s or min, like 2s")
+    return float(match[1]) * _SECONDS[match[2]]

@@ -1,18 +1,24 @@
 """Observations as NAME.csv, NAME.markers.csv and NAME.rejected.csv (docs/file-format.md)."""
 
-import csv
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from calichrome.core.arrays import FloatArray
-from calichrome.core.files import refuse_existing, writing_file
+from calichrome.core.files import refuse_existing
 from calichrome.errors import FileFormatError
 from calichrome.observations.board_view import BoardView, DiscSamples
 from calichrome.observations.dataset import Dataset
+from calichrome.observations.table import (
+    covariance_cells,
+    float_cell,
+    integer_cell,
+    read_table,
+    write_table,
+)
 from calichrome.observations.vnl import read_vnl
 
 __all__ = ["read_corners", "write_observations"]
@@ -23,8 +29,6 @@ _MARKERS = (
     *("rr", "rg", "rb", "gg", "gb", "bb", "n_px", "clipped"),
     *("white_r", "white_g", "white_b", "black_r", "black_g", "black_b"),
 )
-_MAX_BYTES = 1_000_000_000
-Row = Mapping[str, str]
 
 
 def write_observations(
@@ -46,21 +50,9 @@ def write_observations(
     beside = {kind: path.with_suffix(f".{kind}.csv") for kind in ("markers", "rejected")}
     for name in (path, *beside.values()):
         refuse_existing(name, force=force)
-    _write(path, _CORNERS, _corner_rows(dataset), force=force)
-    _write(beside["markers"], _MARKERS, _marker_rows(dataset), force=force)
-    _write(beside["rejected"], ("camera", "frame", "reason"), rejected, force=force)
-
-
-def _write(
-    path: Path, header: Sequence[str], rows: Iterable[Sequence[object]], *, force: bool
-) -> None:
-    with (
-        writing_file(path, force=force) as temporary,
-        temporary.open("w", newline="", encoding="utf-8") as stream,
-    ):
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(rows)
+    write_table(path, _CORNERS, _corner_rows(dataset), force=force)
+    write_table(beside["markers"], _MARKERS, _marker_rows(dataset), force=force)
+    write_table(beside["rejected"], ("camera", "frame", "reason"), rejected, force=force)
 
 
 def _number(value: float) -> str:
@@ -125,17 +117,18 @@ def read_corners(
     if path.suffix.lower() == ".vnl":
         return read_vnl(path, sizes_wh, n_corners, pattern=pattern)
     corners: dict[tuple[str, str], list[tuple[int, list[float]]]] = defaultdict(list)
-    for line, row in _read(path, _CORNERS[:5]):
-        corner = _integer(row, "corner", path, line)
+    for line, row in read_table(path, _CORNERS[:5]):
+        corner = integer_cell(row, "corner", path, line)
         if not 0 <= corner < n_corners:
             raise FileFormatError(
                 f"{path}, line {line}: corner {corner}, but the target has corners 0 to "
                 f"{n_corners - 1}; check --target"
             )
-        values = [_float(row, key, path, line) for key in ("x", "y")]
+        values = [float_cell(row, key, path, line) for key in ("x", "y")]
         if not all(map(math.isfinite, values)):
             raise FileFormatError(f"{path}, line {line}: x and y must be finite numbers")
-        corners[row["camera"], row["frame"]].append((corner, values + _cov(row, path, line)))
+        values += covariance_cells(row, path, line)
+        corners[row["camera"], row["frame"]].append((corner, values))
     beside = path.with_suffix(".markers.csv")
     discs = _read_markers(beside) if beside.is_file() else {}
     views: dict[str, dict[str, BoardView]] = {}
@@ -160,55 +153,12 @@ def read_corners(
     return Dataset(sizes_wh={camera: sizes_wh[camera] for camera in views}, views=views)
 
 
-def _read(path: Path, required: Sequence[str]) -> Iterator[tuple[int, Row]]:
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise FileFormatError(f"{path}: is larger than 1 GB, which no such file is")
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.DictReader(stream)
-            missing = [key for key in required if key not in (reader.fieldnames or ())]
-            if missing:
-                raise FileFormatError(f"{path}: lacks the columns {', '.join(missing)}")
-            for row in reader:
-                if None in row or None in row.values():
-                    raise FileFormatError(f"{path}, line {reader.line_num}: wrong number of cells")
-                yield reader.line_num, row
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise FileFormatError(f"{path}: cannot be read as CSV ({error})") from error
-
-
-def _integer(row: Row, key: str, path: Path, line: int) -> int:
-    try:
-        return int(row[key])
-    except ValueError as error:
-        raise FileFormatError(f"{path}, line {line}: {key} {row[key]!r} is no number") from error
-
-
-def _float(row: Row, key: str, path: Path, line: int) -> float:
-    text = row.get(key, "")
-    try:
-        return float(text) if text else math.nan
-    except ValueError as error:
-        raise FileFormatError(f"{path}, line {line}: {key} {text!r} is no number") from error
-
-
-def _cov(row: Row, path: Path, line: int) -> list[float]:
-    if row.get("sigma"):
-        variance = _float(row, "sigma", path, line) ** 2
-        xx, xy, yy = variance, 0.0, variance
-    else:
-        xx, xy, yy = (_float(row, key, path, line) for key in _CORNERS[5:])
-    if not math.isnan(xx + xy + yy) and not (xx > 0 and xx * yy > xy * xy):
-        raise FileFormatError(f"{path}, line {line}: sxx, sxy, syy are no covariance")
-    return [xx, xy, yy]
-
-
 def _read_markers(path: Path) -> dict[tuple[str, str], DiscSamples]:
     table: dict[tuple[str, str], list[list[float]]] = defaultdict(list)
-    for line, row in _read(path, _MARKERS):
-        values = [_float(row, key, path, line) for key in _MARKERS[2:]]
+    for line, row in read_table(path, _MARKERS):
+        values = [float_cell(row, key, path, line) for key in _MARKERS[2:]]
         for key in ("marker", "n_px"):
-            _integer(row, key, path, line)
+            integer_cell(row, key, path, line)
         if not all(map(math.isfinite, values[1:3])):
             raise FileFormatError(f"{path}, line {line}: x and y must be finite numbers")
         table[row["camera"], row["frame"]].append(values)

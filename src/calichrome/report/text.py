@@ -8,7 +8,7 @@ from calichrome._version import __version__
 from calichrome.core.findings import Finding
 from calichrome.rig import Camera, Rig
 
-__all__ = ["summary", "table"]
+__all__ = ["finding_lines", "summary", "table"]
 
 _MOST_FINDINGS = 9
 
@@ -79,7 +79,7 @@ def _lines(rig: Rig) -> Iterator[str]:
         more = f", {len(pairs) - 6} more" if len(pairs) > 6 else ""
         yield f"Pairs, RMS (shared views): {', '.join(shown)}{more}"
     yield ""
-    yield from _finding_lines(rig.findings)
+    yield from finding_lines(rig.findings)
     yield (
         "Trustworthy: yes."
         if rig.trustworthy
@@ -87,7 +87,7 @@ def _lines(rig: Rig) -> Iterator[str]:
     )
 
 
-def _finding_lines(findings: Sequence[Finding]) -> Iterator[str]:
+def finding_lines(findings: Sequence[Finding]) -> Iterator[str]:
     """Yield the first finding of each code, gravest first, and how many more there are."""
     order = {"critical": 0, "warning": 1, "note": 2}
     by_code: dict[str, list[Finding]] = {}

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calichrome.core.units import parse_length, parse_lengths
+from calichrome.core.units import parse_duration, parse_length, parse_lengths
 
 
 @pytest.mark.parametrize(
@@ -58,3 +58,16 @@ def test_two_lengths(text: str, metres: tuple[float, float]) -> None:
 def test_two_lengths_need_a_unit_each(text: str) -> None:
     with pytest.raises(ValueError, match=r"is not a|has no unit"):
         parse_lengths(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("2s", 2.0), ("500 ms", 0.5), (".5s", 0.5), ("1.5min", 90.0), ("0s", 0.0)]
+)
+def test_durations_are_read_in_seconds(text: str, seconds: float) -> None:
+    assert parse_duration(text) == seconds
+
+
+@pytest.mark.parametrize("text", ["2", "2 h", "s", "-1s", "1e9999s", "nan s", ""])
+def test_what_is_no_duration_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="like 2s"):
+        parse_duration(text)

@@ -170,7 +170,7 @@ _HEADER = "camera,frame,corner,x,y,sxx,sxy,syy\nleft,1,0,5,6,1,0,1\n"
         (_HEADER + "left,1,1,5,6,1,0,1,9\n", "line 3: wrong number of cells"),
         (_HEADER + "left,1,0,7,8,1,0,1\n", "camera left, frame 1: a corner stands twice"),
         (_HEADER + "middle,1,0,7,8,1,0,1\n", "size of camera middle is unknown.*--size middle="),
-        ("camera,frame,corner,x,y,sigma\nleft,1,0,5,6,0\n", "line 2: .* no covariance"),
+        ("camera,frame,corner,x,y,sigma\nleft,1,0,5,6,0\n", "line 2: sigma must be positive"),
     ],
 )
 def test_damage_is_named(text: str, reason: str, tmp_path: Path) -> None:
