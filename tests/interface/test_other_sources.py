@@ -55,7 +55,7 @@ def test_caliscope_calibrates(data: Path, tmp_path: Path) -> None:
     assert "unsynchronised" in {item["code"] for item in rig["findings"]}
 
 
-def test_videos_are_not_corrected(
+def test_videos_of_unknown_cameras_are_not_corrected(
     data: Path, tmp_path: Path, simulated: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rig = tmp_path / "rig.json"
@@ -63,7 +63,7 @@ def test_videos_are_not_corrected(
     capsys.readouterr()
     words = [str(rig), str(data / "caliscope_charuco_4cam"), "-o", str(tmp_path / "out")]
     assert main(["correct", *words]) == 1
-    assert "extract their frames as PNG" in capsys.readouterr().err
+    assert "camera cam_0 is not in the rig (cam0, cam1)" in capsys.readouterr().err
 
 
 def test_max_frames_wants_a_number_of_frames(

@@ -1,16 +1,16 @@
-"""``calichrome target make | check | measure``."""
+"""``calichrome target make | check``."""
 
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from tyro.conf import Positional
 
 from calichrome.cli.palette import judged_palette, palette_lines, palette_to_json
-from calichrome.cli.terminal import Command, Flag, Output
+from calichrome.cli.terminal import Command, Flag, Output, square_size
 from calichrome.core.files import check_output, writing_file
-from calichrome.core.units import parse_length, parse_lengths
+from calichrome.core.units import parse_length
 from calichrome.errors import TargetError
 from calichrome.pipeline.scene_palette import scene_palette
 from calichrome.target import (
@@ -21,15 +21,12 @@ from calichrome.target import (
     design_target,
     layout_quality,
     load_target,
-    measured_target,
-    read_colour_table,
     read_palette,
     target_to_json,
-    with_square_size,
     write_pdf,
 )
 
-__all__ = ["TargetCheck", "TargetMake", "TargetMeasure"]
+__all__ = ["TargetCheck", "TargetMake"]
 
 
 def _length(option: str, text: str) -> float:
@@ -37,13 +34,6 @@ def _length(option: str, text: str) -> float:
         return parse_length(text)
     except ValueError as error:
         raise TargetError(f"{option} {error}") from error
-
-
-def _square(text: str) -> tuple[float, float]:
-    try:
-        return parse_lengths(text)
-    except ValueError as error:
-        raise TargetError(f"--square {error}") from error
 
 
 def _squares(text: str) -> tuple[int, int]:
@@ -64,7 +54,8 @@ class TargetMake(Command):
     paper: str = "A3"
     """A4 to A0, letter, tabloid, or WIDTHxHEIGHTmm."""
     palette: Path | None = None
-    """CSV of colours (name and X,Y,Z or L,a,b); default: the 24 of the ColorChecker."""
+    """Colours with names: CSV or CGATS (.txt, .ti3) of X,Y,Z, L,a,b or reflectances; default: the
+    24 of the ColorChecker."""
     for_scene: Path | None = None
     """Picture or folder of white-balanced pictures: choose printable colours that cover theirs."""
     plain: Flag = False
@@ -76,9 +67,9 @@ class TargetMake(Command):
     printable_margin: str = "5mm"
     """Edge of the paper that the printer cannot reach."""
     illuminant: str | None = None
-    """Of the palette, where the CSV does not say it."""
+    """Of the palette, where its file does not say it."""
     observer: str | None = None
-    """Of the palette, where the CSV does not say it."""
+    """Of the palette, where its file does not say it."""
     seed: int = 0
     """Another seed arranges the colours in another way."""
     output: Annotated[Path, Output] = Path("target.json")
@@ -95,7 +86,7 @@ class TargetMake(Command):
             check_output(path, force=self.force)
         target = design_target(
             squares=_squares(self.squares),
-            square_m=_square(self.square),
+            square_m=square_size(self.square),
             palette=self._palette(),
             disc_ratio=self.disc_ratio,
             top_left=self.top_left,
@@ -178,48 +169,3 @@ class TargetCheck(Command):
         data = [{"severity": item.severity, "text": item.text} for item in problems]
         self.show("\n".join(lines), {"problems": data, "palette": palette_to_json(judged)})
         return 1 if any(item.severity == "error" for item in problems) else 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class TargetMeasure(Command):
-    """Replace nominal colours and sizes by measured ones."""
-
-    target: Positional[Path]
-    """target.json as printed."""
-    values: Path | None = None
-    """CSV of name and X,Y,Z or L,a,b; rows paper_white and paper_black measure the paper."""
-    illuminant: Literal["D50", "D65"] | None = None
-    """Of the values, where the CSV has no column illuminant."""
-    observer: str | None = None
-    """Of the values, where the CSV has no column observer; 2 (degrees)."""
-    square: str | None = None
-    """Measured size of a square, like 39.7mm or 39.7x39.9mm."""
-    output: Annotated[Path, Output]
-    """Where to write the measured target.json."""
-    force: Flag = False
-    """Replace an existing output."""
-
-    def run(self) -> int:
-        """Read, replace and write."""
-        check_output(self.output, force=self.force)
-        if self.values is None and self.square is None:
-            raise TargetError(
-                "nothing was measured; give --values FILE.csv, --square SIZE, or both"
-            )
-        target = load_target(self.target)
-        said = []
-        if self.values is not None:
-            values = read_colour_table(
-                self.values, illuminant=self.illuminant, observer=self.observer
-            )
-            target = measured_target(target, values)
-            said.append(f"{len(values)} colours")
-        if self.square is not None:
-            target = with_square_size(target, _square(self.square))
-            said.append(f"squares of {self.square}")
-        with writing_file(self.output, force=self.force) as temporary:
-            temporary.write_text(json.dumps(target_to_json(target), indent=1) + "\n")
-        self.show(
-            f"Wrote {self.output} with measured {' and '.join(said)}", {"target": str(self.output)}
-        )
-        return 0

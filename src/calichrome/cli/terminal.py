@@ -9,11 +9,22 @@ from typing import Annotated, Any
 
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
 
+from calichrome.core.units import parse_lengths
+from calichrome.errors import TargetError
 from calichrome.pipeline.detect import Progress as ProgressCall
 
-__all__ = ["Command", "Flag", "Output", "names_from"]
+__all__ = ["Command", "Flag", "Output", "names_from", "square_size"]
 
 Output = tyro.conf.arg(aliases=["-o"])
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
@@ -42,6 +53,7 @@ class Command:
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
+            _PerSecond(),
             TimeRemainingColumn(),
             console=console,
             transient=True,
@@ -58,6 +70,21 @@ class Command:
             yield report
 
 
+class _PerSecond(ProgressColumn):
+    """How fast it goes: frames per second of a video."""
+
+    def render(self, task: Task) -> Text:
+        return Text("" if task.speed is None else f"{task.speed:.1f}/s")
+
+
 def names_from(values: Sequence[str]) -> tuple[str, ...]:
     """Split lists like ``a,b``; ``a b`` works as well."""
     return tuple(name for value in values for name in value.split(",") if name)
+
+
+def square_size(text: str) -> tuple[float, float]:
+    """Read ``--square``: one length or two, metres."""
+    try:
+        return parse_lengths(text)
+    except ValueError as error:
+        raise TargetError(f"--square {error}") from error

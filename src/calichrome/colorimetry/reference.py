@@ -4,6 +4,7 @@ import warnings
 from types import ModuleType
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from calichrome.core.arrays import FloatArray, frozen
 
@@ -12,9 +13,11 @@ __all__ = [
     "cam16_ucs",
     "camera_sensitivities",
     "colour_checker_spectra",
+    "colour_fidelity_spectra",
     "illuminant",
     "observer",
     "reflectance_to_xyz_d65",
+    "resampled_reflectance",
 ]
 
 WAVELENGTHS_NM = frozen(np.arange(380, 781, 5))
@@ -49,6 +52,19 @@ def colour_checker_spectra() -> dict[str, FloatArray]:
     }
 
 
+def colour_fidelity_spectra() -> FloatArray:
+    """Reflectances of 99 real things (textiles, skin, plants, paints, prints), (99, 81), 0..1.
+
+    Colour evaluation samples CES 1 to 99 of CIE 224:2017, as distributed by colour-science.
+    """
+    _colour()
+    from colour.quality.cfi2017 import load_TCS_CIE2017
+
+    first, last, step = WAVELENGTHS_NM[0], WAVELENGTHS_NM[-1], WAVELENGTHS_NM[1] - WAVELENGTHS_NM[0]
+    samples = load_TCS_CIE2017(_colour().SpectralShape(first, last, step))
+    return np.asarray(samples.values, dtype=np.float64).T
+
+
 def camera_sensitivities() -> dict[str, FloatArray]:
     """Measured spectral sensitivities of real cameras, shape (81, 3) each."""
     return {
@@ -74,6 +90,23 @@ def reflectance_to_xyz_d65(reflectance: FloatArray) -> FloatArray:
     """Integrate reflectances (..., 81) to XYZ under D65, Y = 1 for the perfect diffuser."""
     weights = observer() * illuminant("D65")[:, None]
     return np.asarray(reflectance @ weights / weights[:, 1].sum())
+
+
+def resampled_reflectance(wavelengths_nm: FloatArray, reflectance: FloatArray) -> FloatArray:
+    """Bring measured reflectances (..., n) to `WAVELENGTHS_NM`, (..., 81), 0 or more.
+
+    Parameters
+    ----------
+    wavelengths_nm : (n,) float, nm
+        Rising; a cubic spline goes through the values, the first and last hold beyond them.
+
+    References
+    ----------
+    .. [1] CIE 15:2018, section 7.2 (interpolation by third-order polynomials, extrapolation by the
+       last measured value).
+    """
+    inside = np.clip(WAVELENGTHS_NM, wavelengths_nm[0], wavelengths_nm[-1])
+    return np.asarray(np.maximum(CubicSpline(wavelengths_nm, reflectance, axis=-1)(inside), 0.0))
 
 
 def cam16_ucs(xyz: FloatArray, white: FloatArray) -> FloatArray:

@@ -13,7 +13,14 @@ from calichrome.core.pose import Pose
 from calichrome.observations import BoardView, DiscSamples
 from calichrome.target import Target
 
-__all__ = ["ColourSamples", "DiscMeans", "collect_samples", "combine_views", "disc_means"]
+__all__ = [
+    "ColourSamples",
+    "DiscMeans",
+    "collect_samples",
+    "combine_views",
+    "cov_of_mean",
+    "disc_means",
+]
 
 _OUTLIER = 4.0  # robust sigmas from the disc's median over views: a highlight, a hand, a shadow
 _FLOOR = 0.01  # of the white level: a spread below is not measured by a handful of views
@@ -269,13 +276,13 @@ def combine_views(samples: ColourSamples, n_markers: int) -> DiscMeans:
         mean_rgb[marker] = weights @ rows[kept]
         left = rows[kept] - mean_rgb[marker]
         n_views[marker] = kept.sum()
-        cov_rgb[marker] = _cov_of_mean(left, weights, cov[of_disc[kept]])
+        cov_rgb[marker] = cov_of_mean(left, weights, cov[of_disc[kept]])
     return DiscMeans(
         mean_rgb=mean_rgb, cov_rgb=cov_rgb, n_views=n_views, reasons=tuple(map(str, reasons))
     )
 
 
-def _cov_of_mean(left: FloatArray, weights: FloatArray, cov: FloatArray) -> FloatArray:
+def cov_of_mean(left: FloatArray, weights: FloatArray, cov: FloatArray) -> FloatArray:
     """Covariance of a weighted mean: what is expected, or what is seen where that is more."""
     expected = np.asarray(np.einsum("n,nij->ij", weights**2, cov))
     if len(left) < 3:

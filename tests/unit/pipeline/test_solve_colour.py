@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from calichrome.apply import Corrector
+from calichrome.apply import Corrector, FrameFormat, OutputSpace, SourceMap
 from calichrome.colorimetry.encoding import EncodingName, ToneCurve
 from calichrome.colorimetry.rgb_spaces import XYZ_FROM_RGB
 from calichrome.colour.models import MODELS
@@ -20,11 +20,11 @@ from calichrome.errors import RecordingError
 from calichrome.geometry.lenses import BrownConrady
 from calichrome.geometry.rig_solution import RigSolution
 from calichrome.geometry.rig_solve import solve_rig
-from calichrome.imaging import Image
+from calichrome.imaging import Image, Pixels
 from calichrome.observations import BoardView, Dataset, DiscSamples
 from calichrome.pipeline.calibrate import Calibration, CalibrationSettings, calibrate_dataset
 from calichrome.pipeline.solve_colour import ColourChoices, ColourModelName, RigColour, solve_colour
-from calichrome.rig import load_rig, save_rig
+from calichrome.rig import Camera, load_rig, save_rig
 from calichrome.target import Paper, Target
 
 _SIZE_WH = (640, 480)
@@ -270,6 +270,12 @@ def _flat(camera: str, level: FloatArray) -> Image:
     return Image(pixels=np.rint(65535 * pixels).astype(np.uint16), encoding="linear", bits=16)
 
 
+def _apply(
+    image: Image, camera: Camera, space: OutputSpace, source_map: SourceMap | None = None
+) -> Pixels:
+    return Corrector(camera, space, source_map, frames=FrameFormat.of(image)).apply(image.pixels)
+
+
 @pytest.mark.parametrize("camera", _CAMERAS)
 def test_a_flat_wall_comes_out_flat(camera: str, vignetted: Calibration, tmp_path: Path) -> None:
     save_rig(vignetted.rig, None, tmp_path / "rig.json")
@@ -280,7 +286,7 @@ def test_a_flat_wall_comes_out_flat(camera: str, vignetted: Calibration, tmp_pat
     inner = np.s_[60:420, 80:560]  # where the board was
     stored = wall.pixels[inner].astype(np.float64)
     assert np.ptp(stored, axis=(0, 1)).min() > 0.1 * stored.max()
-    corrected = Corrector(read, "xyz-d65").apply(wall)[inner]
+    corrected = _apply(wall, read, "xyz-d65")[inner]
     expected = read.colour.xyz_from_rgb(level)
     np.testing.assert_allclose(
         corrected, np.broadcast_to(expected, corrected.shape), atol=0.02 * expected.max()
@@ -288,7 +294,7 @@ def test_a_flat_wall_comes_out_flat(camera: str, vignetted: Calibration, tmp_pat
     # the same through a map, each output pixel divided by the gain of where it comes from
     x, y = np.meshgrid(np.arange(_SIZE_WH[0]), np.arange(_SIZE_WH[1]))
     turned = np.stack([_SIZE_WH[0] - 1 - x, _SIZE_WH[1] - 1 - y], axis=-1).astype(np.float32)
-    mapped = Corrector(read, "xyz-d65", source_map=turned).apply(wall)
+    mapped = _apply(wall, read, "xyz-d65", source_map=turned)
     np.testing.assert_allclose(mapped[::-1, ::-1][inner], corrected, atol=1e-3 * expected.max())
-    untouched = Corrector(read, "none").apply(wall)
+    untouched = _apply(wall, read, "none")
     np.testing.assert_array_equal(untouched, wall.pixels)
