@@ -1,5 +1,6 @@
 """Recordings with known truth, for tests and demonstrations; nothing that solves may import it."""
 
+from calichrome.synthetic.camera import SyntheticCamera
 from calichrome.synthetic.exposure import exposed
 from calichrome.synthetic.poses import PoseRules, hold_board
 from calichrome.synthetic.recording import picture, write_recording
@@ -36,6 +37,7 @@ __all__ = [
     "SceneCamera",
     "SceneError",
     "SceneSensor",
+    "SyntheticCamera",
     "Truth",
     "demo_scene",
     "exposed",

@@ -10,6 +10,7 @@ from calichrome.synthetic.scene import (
     SceneCamera,
     SceneError,
     cosine_vignetting,
+    faces,
     irradiance,
 )
 from calichrome.synthetic.spectra import camera_response, printed_palette
@@ -67,6 +68,8 @@ def _light_in_picture(scene: Scene, camera: SceneCamera) -> FloatArray:
     points_board = square_corners_board(scene.target).reshape(-1, 3)
     parts = []
     for world_from_board in scene.world_from_board.values():
+        if not faces(camera, world_from_board):
+            continue
         points_world = world_from_board.apply(points_board)
         seen = np.isfinite(project_visible(camera, points_world)).all(axis=1)
         points_world = points_world[seen]
@@ -74,4 +77,4 @@ def _light_in_picture(scene: Scene, camera: SceneCamera) -> FloatArray:
         share = cosine_vignetting(camera, rays_cam / rays_cam[:, 2:])
         light = irradiance(scene, points_world, -world_from_board.rotation[:, 2])
         parts.append(light * share[:, None])
-    return np.concatenate(parts)
+    return np.concatenate(parts) if parts else np.zeros((0, len(scene.spectra)))

@@ -1,7 +1,7 @@
 """A synthetic recording on disk: pictures, what a user would know, and the truth beside it."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from calichrome.synthetic.sensor import develop, stored
 from calichrome.synthetic.truth import truth_of, write_truth
 from calichrome.target import target_to_json
 
-__all__ = ["picture", "write_recording"]
+__all__ = ["picture", "recording_toml", "write_recording"]
 
 _JPEG_QUALITY = 95
 
@@ -65,7 +65,7 @@ def write_recording(scene: Scene, folder: Path, progress: Progress | None = None
                     progress(done, total)
         described = json.dumps(target_to_json(scene.target), indent=1, ensure_ascii=False)
         (temporary / "target.json").write_text(described + "\n", encoding="utf-8")
-        (temporary / "recording.toml").write_text(_recording_toml(scene), encoding="utf-8")
+        (temporary / "recording.toml").write_text(recording_toml(scene.cameras), encoding="utf-8")
         write_truth(truth_of(scene), temporary / "truth.json")
 
 
@@ -73,12 +73,13 @@ def _suffix(scene: Scene, camera: SceneCamera, frame_id: str) -> str:
     return ".jpg" if camera.bits == 8 and frame_id in scene.jpeg_frames else ".png"
 
 
-def _recording_toml(scene: Scene) -> str:
+def recording_toml(cameras: Iterable[SceneCamera]) -> str:
+    """Return what a user would know of the cameras' files."""
     entries = [
         # json writes strings as TOML reads them
         f"[cameras.{json.dumps(camera.camera_id)}]\n"
         f"encoding = {json.dumps(camera.encoding)}\n"
         f"bits = {camera.bits}\n"
-        for camera in scene.cameras
+        for camera in cameras
     ]
     return "\n".join(entries)

@@ -20,6 +20,7 @@ from calichrome.synthetic.scene import (
     SceneCamera,
     SceneError,
     cosine_vignetting,
+    faces,
     image_rng,
     irradiance,
     white_margin_m,
@@ -27,7 +28,7 @@ from calichrome.synthetic.scene import (
 from calichrome.synthetic.spectra import Palette, camera_response, printed_palette
 from calichrome.target import Target
 
-__all__ = ["Renderer", "render_frame", "sheet_bounds"]
+__all__ = ["Renderer", "grain", "render_frame", "sheet_bounds"]
 
 _TILE_CELLS = 64  # side of the noise tile that textures repeat
 _OCTAVES = (1.0, 0.5, 0.25)  # size and strength of coarse, middle and fine grain
@@ -111,8 +112,8 @@ class Renderer:
         response = camera_response(
             self.scene, view.camera.sensor.sensitivity, panel.reflectance[None]
         )[0]
-        grain = _grain(rng, np.stack([patch.v, patch.u]) / panel.texture_m)
-        gain = np.maximum(1 + panel.texture_contrast * grain, 0)
+        texture = grain(rng, np.stack([patch.v, patch.u]) / panel.texture_m)
+        gain = np.maximum(1 + panel.texture_contrast * texture, 0)
         colour = gain[..., None] * (self._light(panel.world_from_panel, patch) @ response)
         picture = view.surroundings[patch.slices]
         picture += patch.rectangle(bounds)[..., None] * (colour - picture)
@@ -123,13 +124,16 @@ class Renderer:
         patch = self._patch(view, world_from_board, sheet)
         if patch is None:
             return
-        black_squares = patch.checkerboard(
-            target.squares, target.square_m, black_first=target.top_left == "black"
-        )
-        light = self._light(world_from_board, patch)
+        from_behind = not faces(view.camera, world_from_board)
+        light = self._light(world_from_board, patch, from_behind=from_behind)
         white, black = light @ view.responses[0], light @ view.responses[1]
         picture = radiance[patch.slices]
         picture += patch.rectangle(sheet)[..., None] * (white - picture)
+        if from_behind:  # the back of the paper is plain
+            return
+        black_squares = patch.checkerboard(
+            target.squares, target.square_m, black_first=target.top_left == "black"
+        )
         picture += black_squares[..., None] * (black - white)
         for index, marker in enumerate(target.markers):
             u, v, _ = target.marker_centres_board[index]
@@ -147,10 +151,12 @@ class Renderer:
             view.rays_cam, cam_from_plane, view.padding, view.camera.psf_sigma_px
         ).around(bounds)
 
-    def _light(self, world_from_plane: Pose, patch: PlanePatch) -> FloatArray:
+    def _light(
+        self, world_from_plane: Pose, patch: PlanePatch, *, from_behind: bool = False
+    ) -> FloatArray:
         points = np.stack([patch.u, patch.v, np.zeros_like(patch.u)], axis=-1)
-        # The lit side of boards and panels is the one that looks against their z axis.
-        normal_world = -world_from_plane.rotation[:, 2]
+        # The face of boards and panels looks against their z axis, the back of a board along it.
+        normal_world = world_from_plane.rotation[:, 2] * (1 if from_behind else -1)
         return irradiance(self.scene, world_from_plane.apply(points), normal_world)
 
 
@@ -174,7 +180,7 @@ def sheet_bounds(target: Target) -> Bounds:
     )
 
 
-def _grain(rng: np.random.Generator, position_vu: FloatArray) -> FloatArray:
+def grain(rng: np.random.Generator, position_vu: FloatArray) -> FloatArray:
     """Smooth noise of about unit variance at positions (2, h, w), in grains."""
     tile = rng.normal(0, 1, (_TILE_CELLS, _TILE_CELLS))
     layers = [

@@ -25,6 +25,7 @@ __all__ = [
     "SceneError",
     "SceneSensor",
     "cosine_vignetting",
+    "faces",
     "image_rng",
     "irradiance",
     "white_margin_m",
@@ -52,12 +53,15 @@ class Light:
         Luminous irradiance at 1 m on the axis (arbitrary unit shared by all lights of a scene).
     centre_world, axis_world : (3,) float
         Where it is, metres, and which way it shines, unitless.
+    radius_m
+        Of the face that shines: how soft its shadows are. Its light falls off as from the centre.
     """
 
     spectrum: str
     power: float
     centre_world: Triple
     axis_world: Triple
+    radius_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -226,8 +230,8 @@ def irradiance(scene: Scene, points_world: FloatArray, normal_world: FloatArray)
     Parameters
     ----------
     points_world : (..., 3) float, metres
-    normal_world : (3,) float, unitless
-        Unit normal of the lit side.
+    normal_world : (..., 3) float, unitless
+        Unit normal of the lit side: one, or one per point.
 
     Returns
     -------
@@ -239,7 +243,7 @@ def irradiance(scene: Scene, points_world: FloatArray, normal_world: FloatArray)
         axis = np.array(light.axis_world) / np.linalg.norm(light.axis_world)
         to_light = np.array(light.centre_world) - points_world
         squared = (to_light**2).sum(axis=-1)
-        received = np.maximum(to_light @ normal_world, 0)
+        received = np.maximum((to_light * normal_world).sum(axis=-1), 0)
         emitted = np.maximum(-to_light @ axis, 0)
         columns.append(light.power * received * emitted / squared**2)
     shape = points_world.shape[:-1]
@@ -251,6 +255,11 @@ def cosine_vignetting(camera: SceneCamera, rays_cam: FloatArray) -> FloatArray:
     """Return the share of light that reaches the image along rays (..., 3) with z = 1."""
     squared = (rays_cam[..., :2] ** 2).sum(axis=-1)
     return np.asarray((1 + squared) ** (-camera.vignetting_power / 2))
+
+
+def faces(camera: SceneCamera, world_from_board: Pose) -> bool:
+    """Whether a camera stands before the printed side of a board, not behind it."""
+    return bool((camera.cam_from_world @ world_from_board).inverse().trans_m[2] < 0)
 
 
 def image_rng(seed: int, *names: str) -> np.random.Generator:

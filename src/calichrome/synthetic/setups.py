@@ -30,12 +30,19 @@ from calichrome.synthetic.scene import (
 from calichrome.synthetic.spectra import random_reflectance
 from calichrome.target import Target
 
-__all__ = ["SENSORS", "demo_scene", "random_scene"]
+__all__ = [
+    "SENSORS",
+    "Mount",
+    "demo_scene",
+    "mounted_camera",
+    "noisy_sensor",
+    "random_scene",
+]
 
 SENSORS = ("Nikon 5100 (NPL)", "Sigma SDMerill (NPL)")
 """Sensors with measured sensitivities in colour-science, in the order that rigs use them."""
 
-_STACKED = "Sigma SDMerill (NPL)"  # measures all three colours in each pixel: it has no mosaic
+STACKED = "Sigma SDMerill (NPL)"  # measures all three colours in each pixel: it has no mosaic
 
 _FOCAL_SHARE = 0.88  # focal length over picture width: about 59 degrees across
 _BOARD_SHARE = 0.42  # of the picture's width, at the middle of the workspace
@@ -44,7 +51,7 @@ _SPREAD_RAD = np.deg2rad(28)  # of the cameras about the workspace, to either si
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Mount:
+class Mount:
     """One camera of a rig: how it sits, and what it is.
 
     `azimuth_rad` and `elevation_rad` are seen from the workspace, right and up; `distance` is a
@@ -77,10 +84,10 @@ def demo_scene(target: Target, seed: int = 0, *, n_frames: int = 12) -> Scene:
         If the board cannot be seen well enough.
     """
     nikon = SceneSensor(sensitivity=SENSORS[0])
-    sigma = SceneSensor(sensitivity=_STACKED, mosaic=False)
+    sigma = SceneSensor(sensitivity=STACKED, mosaic=False)
     sizes = {nikon: (640, 480), sigma: (720, 540)}
     mounts = [
-        _Mount(
+        Mount(
             camera_id=camera_id,
             size_wh=sizes[sensor],
             sensor=sensor,
@@ -96,7 +103,7 @@ def demo_scene(target: Target, seed: int = 0, *, n_frames: int = 12) -> Scene:
             ("pair2-right", sigma, 24, 3, 1.08, (1.05, 1.0, 0.95)),
         )
     ]
-    single = _Mount(
+    single = Mount(
         camera_id="single",
         size_wh=(640, 512),
         sensor=nikon,
@@ -153,10 +160,10 @@ def random_scene(
         side = 0.0 if n_cameras == 1 else 2 * index / (n_cameras - 1) - 1
         spread = _SPREAD_RAD * min(1.0, 0.35 + 0.15 * n_cameras)
         mounts.append(
-            _Mount(
+            Mount(
                 camera_id=f"cam{index}",
                 size_wh=size_wh,
-                sensor=_sensor(SENSORS[index % len(SENSORS)], noise, mosaic=mosaic),
+                sensor=noisy_sensor(SENSORS[index % len(SENSORS)], noise, mosaic=mosaic),
                 azimuth_rad=side * spread,
                 elevation_rad=rng.uniform(-0.1, 0.25),
                 distance=rng.uniform(0.95, 1.05),
@@ -166,8 +173,9 @@ def random_scene(
     return _scene(target, mounts, n_frames, seed, palette_error_lab_sd)
 
 
-def _sensor(sensitivity: str, noise: float, *, mosaic: bool) -> SceneSensor:
-    mosaic = mosaic and sensitivity != _STACKED
+def noisy_sensor(sensitivity: str, noise: float, *, mosaic: bool) -> SceneSensor:
+    """Return a sensor with a multiple of a good small camera's noise, see `random_scene`."""
+    mosaic = mosaic and sensitivity != STACKED
     if noise < 0:
         raise SceneError(f"noise={noise}: must be 0 (none) or more")
     standard = SceneSensor(sensitivity=sensitivity)
@@ -185,7 +193,7 @@ def _sensor(sensitivity: str, noise: float, *, mosaic: bool) -> SceneSensor:
 
 def _scene(
     target: Target,
-    mounts: Sequence[_Mount],
+    mounts: Sequence[Mount],
     n_frames: int,
     seed: int,
     palette_error_lab_sd: float = 0.0,
@@ -196,7 +204,8 @@ def _scene(
     distance_m = _FOCAL_SHARE * (u1 - u0) / share
     centre_world = np.array([0, 0, distance_m])
     cameras = tuple(
-        _camera(mount, centre_world, image_rng(seed, "camera", mount.camera_id)) for mount in mounts
+        mounted_camera(mount, centre_world, image_rng(seed, "camera", mount.camera_id))
+        for mount in mounts
     )
     rules = PoseRules(n_frames=n_frames)
     poses = hold_board(target, cameras, centre_world, rules, image_rng(seed, "poses"))
@@ -219,7 +228,8 @@ def _scene(
     return exposed(scene)
 
 
-def _camera(mount: _Mount, centre_world: FloatArray, rng: np.random.Generator) -> SceneCamera:
+def mounted_camera(mount: Mount, centre_world: FloatArray, rng: np.random.Generator) -> SceneCamera:
+    """Put a camera with a lens drawn from `rng` where its mount says, seen from the workspace."""
     width, height = mount.size_wh
     focal = _FOCAL_SHARE * width * rng.uniform(0.97, 1.03)
     lens = BrownConrady(

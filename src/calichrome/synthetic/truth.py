@@ -18,11 +18,22 @@ from calichrome.core.files import writing_file
 from calichrome.core.pose import Pose
 from calichrome.errors import FileFormatError
 from calichrome.geometry.lenses import BrownConrady
-from calichrome.synthetic.scene import Scene, SceneCamera, white_margin_m
+from calichrome.synthetic.scene import Scene, SceneCamera, faces, white_margin_m
 from calichrome.synthetic.spectra import printed_palette
 from calichrome.synthetic.visibility import project_visible, sees_whole
 
-__all__ = ["CameraTruth", "ImageTruth", "Truth", "read_truth", "truth_of", "write_truth"]
+__all__ = [
+    "CameraTruth",
+    "ImageTruth",
+    "Truth",
+    "camera_from_json",
+    "camera_to_json",
+    "camera_truth",
+    "read_truth",
+    "read_truth_file",
+    "truth_of",
+    "write_truth",
+]
 
 FORMAT = "calichrome.truth"
 FORMAT_VERSION = 1
@@ -63,7 +74,7 @@ class ImageTruth:
     Parameters
     ----------
     corners_px : (n_corners, 2) float, pixels
-        By corner id; nan outside the picture.
+        By corner id; nan outside the picture, and on a board seen from behind.
     marker_centres_px : (n_markers, 2) float, pixels
         Images of the disc centres (not centres of their images) by marker id; nan outside.
     whole
@@ -117,7 +128,7 @@ def truth_of(scene: Scene) -> Truth:
     return Truth(
         reference_camera=reference.camera_id,
         cameras={
-            camera.camera_id: _camera_truth(camera, reference.cam_from_world.inverse())
+            camera.camera_id: camera_truth(camera, reference.cam_from_world.inverse())
             for camera in scene.cameras
         },
         world_from_board=dict(scene.world_from_board),
@@ -134,7 +145,8 @@ def truth_of(scene: Scene) -> Truth:
     )
 
 
-def _camera_truth(camera: SceneCamera, world_from_ref: Pose) -> CameraTruth:
+def camera_truth(camera: SceneCamera, world_from_ref: Pose) -> CameraTruth:
+    """Return the truth of a camera."""
     return CameraTruth(
         size_wh=camera.size_wh,
         lens=camera.lens,
@@ -152,11 +164,11 @@ def _camera_truth(camera: SceneCamera, world_from_ref: Pose) -> CameraTruth:
 
 def _image_truth(scene: Scene, camera: SceneCamera, world_from_board: Pose) -> ImageTruth:
     target = scene.target
+    seen = 1.0 if faces(camera, world_from_board) else np.nan
     return ImageTruth(
-        corners_px=project_visible(camera, world_from_board.apply(target.corners_board)),
-        marker_centres_px=project_visible(
-            camera, world_from_board.apply(target.marker_centres_board)
-        ),
+        corners_px=seen * project_visible(camera, world_from_board.apply(target.corners_board)),
+        marker_centres_px=seen
+        * project_visible(camera, world_from_board.apply(target.marker_centres_board)),
         whole=sees_whole(scene, camera, world_from_board),
     )
 
@@ -182,23 +194,34 @@ def read_truth(path: Path) -> Truth:
     FileFormatError
         If it is missing, damaged or of another kind.
     """
+    data = read_truth_file(path, FORMAT, FORMAT_VERSION)
+    try:
+        return _from_json(data)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise FileFormatError(f"{path}: is damaged ({error!r}); simulate again") from error
+
+
+def read_truth_file(path: Path, kind: str, version: int) -> dict[str, Any]:
+    """Read a file of truth as JSON of the kind and version that are wanted.
+
+    Raises
+    ------
+    FileFormatError
+        If it is missing, damaged or of another kind.
+    """
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise FileFormatError(f"{path}: {path.stat().st_size / 1e6:.0f} MB is no truth file")
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise FileFormatError(f"{path}: cannot be read ({error}); simulate again") from error
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
-        raise FileFormatError(f'{path}: is no truth file (its "format" is not "{FORMAT}")')
-    if data.get("format_version") != FORMAT_VERSION:
+    if not isinstance(data, dict) or data.get("format") != kind:
+        raise FileFormatError(f'{path}: is no truth file (its "format" is not "{kind}")')
+    if data.get("format_version") != version:
         raise FileFormatError(
-            f"{path}: format_version {data.get('format_version')!r}, this release reads "
-            f"{FORMAT_VERSION}"
+            f"{path}: format_version {data.get('format_version')!r}, this release reads {version}"
         )
-    try:
-        return _from_json(data)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise FileFormatError(f"{path}: is damaged ({error!r}); simulate again") from error
+    return data
 
 
 def _to_json(truth: Truth) -> dict[str, Any]:
@@ -215,17 +238,7 @@ def _to_json(truth: Truth) -> dict[str, Any]:
         },
         "cameras": {
             camera_id: {
-                "size_wh": list(camera.size_wh),
-                "lens": {"model": camera.lens.MODEL, **camera.lens.as_dict()},
-                "cam_from_world": _pose_to_json(camera.cam_from_world),
-                "cam_from_ref": _pose_to_json(camera.cam_from_ref),
-                "sensitivity": camera.sensitivity,
-                "psf_sigma_px": camera.psf_sigma_px,
-                "vignetting": {"model": "cosine-power", "power": camera.vignetting_power},
-                "flare": camera.flare,
-                "white_balance": list(camera.white_balance),
-                "encoding": camera.encoding,
-                "bits": camera.bits,
+                **camera_to_json(camera),
                 "whole_views": list(truth.whole_views(camera_id)),
             }
             for camera_id, camera in truth.cameras.items()
@@ -251,7 +264,7 @@ def _from_json(data: Mapping[str, Any]) -> Truth:
     target = data["target"]
     return Truth(
         reference_camera=data["reference_camera"],
-        cameras={key: _camera_from_json(entry) for key, entry in data["cameras"].items()},
+        cameras={key: camera_from_json(entry) for key, entry in data["cameras"].items()},
         world_from_board={
             key: _pose_from_json(entry["world_from_board"]) for key, entry in data["frames"].items()
         },
@@ -271,7 +284,25 @@ def _from_json(data: Mapping[str, Any]) -> Truth:
     )
 
 
-def _camera_from_json(entry: Mapping[str, Any]) -> CameraTruth:
+def camera_to_json(camera: CameraTruth) -> dict[str, Any]:
+    """Return a camera as its entry in the file."""
+    return {
+        "size_wh": list(camera.size_wh),
+        "lens": {"model": camera.lens.MODEL, **camera.lens.as_dict()},
+        "cam_from_world": _pose_to_json(camera.cam_from_world),
+        "cam_from_ref": _pose_to_json(camera.cam_from_ref),
+        "sensitivity": camera.sensitivity,
+        "psf_sigma_px": camera.psf_sigma_px,
+        "vignetting": {"model": "cosine-power", "power": camera.vignetting_power},
+        "flare": camera.flare,
+        "white_balance": list(camera.white_balance),
+        "encoding": camera.encoding,
+        "bits": camera.bits,
+    }
+
+
+def camera_from_json(entry: Mapping[str, Any]) -> CameraTruth:
+    """Read a camera from its entry."""
     numbers = dict(entry["lens"])
     model = numbers.pop("model")
     if model != BrownConrady.MODEL:

@@ -5,7 +5,7 @@ import numpy as np
 from calichrome.core.arrays import BoolArray, FloatArray
 from calichrome.core.pose import Pose
 from calichrome.synthetic.render import sheet_bounds
-from calichrome.synthetic.scene import Scene, SceneCamera
+from calichrome.synthetic.scene import Scene, SceneCamera, faces
 from calichrome.target import Target
 
 __all__ = ["outline_board", "project_visible", "sees_whole", "square_corners_board"]
@@ -52,7 +52,9 @@ def project_visible(
 
 
 def sees_whole(scene: Scene, camera: SceneCamera, world_from_board: Pose) -> bool:
-    """Whether all of the paper is in the picture."""
+    """Whether all of the paper is in the picture, printed side in front."""
+    if not faces(camera, world_from_board):
+        return False
     outline = project_visible(camera, world_from_board.apply(outline_board(scene.target)))
     return bool(np.isfinite(outline).all())
 

@@ -222,3 +222,18 @@ def test_a_board_whose_horizon_is_in_the_picture_renders_finite(clean_pair: Scen
         world_from_board={frame_id: camera.cam_from_world.inverse() @ near},
     )
     assert np.isfinite(Renderer(scene).electrons(camera.camera_id, frame_id)).all()
+
+
+def test_back_of_the_board_is_plain(pair: Scene) -> None:
+    frame_id, world_from_board = next(iter(pair.world_from_board.items()))
+    middle = pair.target.corners_board.mean(axis=0)
+    half_turn = Pose.from_rotvec([0, np.pi, 0], [2 * middle[0], 0, 0])
+    turned = replace(pair, world_from_board={frame_id: world_from_board @ half_turn})
+    camera_id = pair.cameras[0].camera_id
+    front, back = (render_frame(scene, camera_id, frame_id) for scene in (pair, turned))
+    inner = truth_of(pair).images[camera_id, frame_id].corners_px
+    x, y = np.nanmean(inner, axis=0).round().astype(int)
+    part = slice(y - 20, y + 21), slice(x - 20, x + 21)
+    steps = [np.abs(np.diff(picture[part], axis=1)).max() for picture in (front, back)]
+    assert steps[1] < 0.02 * steps[0]  # shading alone
+    assert np.isnan(truth_of(turned).images[camera_id, frame_id].corners_px).all()
