@@ -15,10 +15,15 @@ from calichrome.cli.compare import Compare
 from calichrome.cli.correct import Correct
 from calichrome.cli.demo import Demo
 from calichrome.cli.detect import Detect
+from calichrome.cli.export import Export
+from calichrome.cli.observe import Observe
+from calichrome.cli.record import Record
 from calichrome.cli.rectify import Rectify
 from calichrome.cli.simulate import Simulate
-from calichrome.cli.target import TargetCheck, TargetMake, TargetMeasure
+from calichrome.cli.target import TargetCheck, TargetMake
+from calichrome.cli.target_measure import TargetMeasure
 from calichrome.cli.terminal import Command
+from calichrome.cli.triangulate import Triangulate
 from calichrome.errors import CalichromeError
 
 __all__ = ["main"]
@@ -42,10 +47,14 @@ class _Target:
 _Commands = (
     Annotated[_Target, tyro.conf.subcommand("target")]
     | Annotated[Simulate, tyro.conf.subcommand("simulate")]
+    | Annotated[Record, tyro.conf.subcommand("record")]
     | Annotated[Detect, tyro.conf.subcommand("detect")]
     | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
     | Annotated[Correct, tyro.conf.subcommand("correct")]
     | Annotated[Rectify, tyro.conf.subcommand("rectify")]
+    | Annotated[Triangulate, tyro.conf.subcommand("triangulate")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[Observe, tyro.conf.subcommand("observe")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]

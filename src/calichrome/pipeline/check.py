@@ -19,7 +19,7 @@ from calichrome.pipeline.tone import read_again
 from calichrome.rig import Evidence, Rig
 from calichrome.rig.check import Check, check_dataset
 
-__all__ = ["check_recording"]
+__all__ = ["check_recording", "read_as_calibrated"]
 
 _STORED: EncodingName = "srgb"  # as what files are read before a curve of their own is applied
 
@@ -68,7 +68,7 @@ def check_recording(
         )
     recording = replace(recording, files={camera: recording.files[camera] for camera in common})
     _check_sizes(rig, recording)
-    recording = _read_as_calibrated(rig, recording)
+    recording = read_as_calibrated(rig, recording)
     board = rig.target if target is None else find_target(recording, target, None)
     if board.corners_xy != rig.target.corners_xy:
         raise RecordingError(
@@ -96,7 +96,7 @@ def _by(numbers: Sequence[int]) -> str:
     return "x".join(map(str, numbers))
 
 
-def _read_as_calibrated(rig: Rig, recording: Recording) -> Recording:
+def read_as_calibrated(rig: Rig, recording: Recording) -> Recording:
     """Read pictures with the encoding of the rig where the new recording does not state one."""
     entries = dict(recording.settings.cameras)
     for camera in recording.cameras:
