@@ -1,6 +1,11 @@
-"""Render the pictures of README.md into docs/images, from the demo's own recording.
+"""Render the pictures of README.md into docs/images, from what the project simulates.
 
-Run ``make demo`` first.
+Run ``make demo`` first, and for the tracks::
+
+    calichrome simulate --scene workspace -o demo/space
+    calichrome calibrate demo/space/calibration --square 80mm -o demo/space/rig.json
+    cd demo/space
+    calichrome observe rig.json workspace -o tracks.csv --overlay overlay --plot tracks.png
 """
 
 import sys
@@ -44,8 +49,29 @@ def main() -> int:
     write_picture(
         images / "mistakes.jpg", picture_grid(mistakes, 4), jpeg_quality=QUALITY, force=True
     )
+    if (demo / "space" / "tracks.png").exists():
+        tracks = tracks_sheet(demo / "space")
+        write_picture(images / "tracks.jpg", tracks, jpeg_quality=QUALITY, force=True)
     print(f"wrote {', '.join(path.name for path in sorted(images.glob('*.jpg')))}")
     return 0
+
+
+def tracks_sheet(space: Path) -> UInt8Array:
+    """Put two cameras with boxes and tails beside the tracks in space."""
+    plot = cv2.cvtColor(cv2.imread(str(space / "tracks.png")), cv2.COLOR_BGR2RGB)
+    plot = plot[:, : plot.shape[1] // 2]
+    views = []
+    for path in sorted((space / "overlay").glob("*.mp4"))[:2]:
+        video = cv2.VideoCapture(str(path))
+        video.set(cv2.CAP_PROP_POS_FRAMES, video.get(cv2.CAP_PROP_FRAME_COUNT) // 2)
+        _, frame = video.read()
+        height = plot.shape[0] // 2
+        width = round(frame.shape[1] * height / frame.shape[0])
+        small = cv2.resize(frame, (width, height), interpolation=cv2.INTER_AREA)
+        views.append(cv2.cvtColor(small, cv2.COLOR_BGR2RGB))
+    width = min(view.shape[1] for view in views)
+    column = np.concatenate([view[:, :width] for view in views])
+    return np.asarray(np.concatenate([column, plot[: len(column)]], axis=1), dtype=np.uint8)
 
 
 def linear(recording: Recording, frame: str) -> Image:
