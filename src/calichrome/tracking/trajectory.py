@@ -328,7 +328,7 @@ class _Residual:
 
     def by_cameras(self, cameras_cov: FloatArray) -> FloatArray:
         """Return the variance (2n,) that the errors of the cameras give them."""
-        return np.einsum("ij,jk,ik->i", self.moved, cameras_cov, self.moved)
+        return np.asarray(np.einsum("ij,jk,ik->i", self.moved, cameras_cov, self.moved))
 
 
 def _residuals(path: _Path, views: Sequence[View]) -> Iterator[_Residual]:
