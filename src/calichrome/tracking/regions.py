@@ -138,8 +138,10 @@ def measure_region(
     projected back into the picture. Seen from a point, a sphere fills a circular cone, whose axis
     goes through its centre: by symmetry the mean is that axis, through any lens. (The centroid of
     pixels is not: through a pinhole it lies a^2 tan t / cos^2 t farther out, for a cone of half
-    angle a at the angle t from the axis: the mean of tan(t + a) and tan(t - a), less tan t.) The weights are alpha * solid angle. With errors of alpha at the edge
-    alone and independent, and w_e the solid angle of an edge's pixel p_e, its covariance is
+    angle a at the angle t from the axis: the mean of tan(t + a) and tan(t - a), less tan t.)
+
+    The weights are alpha * solid angle. With errors of alpha at the edge alone and independent, and
+    w_e the solid angle of an edge's pixel p_e, its covariance is
     ``sum sigma_e^2 w_e^2 (p_e - c)(p_e - c)' / (sum alpha w)^2``; sigma_e grows where object and
     background look alike.
     """
