@@ -59,7 +59,7 @@ def main() -> int:
 def tracks_sheet(space: Path) -> UInt8Array:
     """Put two cameras with boxes and tails beside the tracks in space."""
     plot = cv2.cvtColor(cv2.imread(str(space / "tracks.png")), cv2.COLOR_BGR2RGB)
-    plot = plot[:, : plot.shape[1] // 2]
+    plot = plot[:, : 48 * plot.shape[1] // 100]  # the other half is the plan
     views = []
     for path in sorted((space / "overlay").glob("*.mp4"))[:2]:
         video = cv2.VideoCapture(str(path))
