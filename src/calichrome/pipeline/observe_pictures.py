@@ -18,7 +18,7 @@ from calichrome.errors import CalichromeError, OutputError
 from calichrome.imaging import StreamFormat, Unreadable, VideoSettings, VideoWriter
 from calichrome.pipeline.detect import Progress, silent
 from calichrome.pipeline.observe import Observation, Row
-from calichrome.pipeline.watch import Watch
+from calichrome.pipeline.watch import Viewer
 from calichrome.report.figures import tracks_figure
 from calichrome.tracking import Mark, draw_marks
 
@@ -72,6 +72,7 @@ def classify(
         If the classifier fails.
     """
     watch = observation.watch
+    viewers = {camera: watch.viewer(camera) for camera in watch.cameras}
     labels: dict[int, str] = {}
     for track in dict.fromkeys(row.track for row in rows):
         looks = [
@@ -84,15 +85,15 @@ def classify(
         looks.sort(key=lambda look: -look[0])
         # of instants that lie apart, so that one bad moment does not decide
         chosen = looks[:: max(1, len(looks) // (2 * _LOOKS))][:_LOOKS]
-        found = [_label(watch, row, camera, classifier) for _, row, camera in chosen]
+        found = [_label(viewers[camera], row, camera, classifier) for _, row, camera in chosen]
         known = [label for label in found if label is not None]
         if known:
             labels[track] = Counter(known).most_common(1)[0][0]
     return labels
 
 
-def _label(watch: Watch, row: Row, camera: str, classifier: Classifier) -> str | None:
-    picture = watch.shown(camera, row.frame)
+def _label(viewer: Viewer, row: Row, camera: str, classifier: Classifier) -> str | None:
+    picture = viewer(row.frame)
     if isinstance(picture, Unreadable):
         return None
     left, top, right, bottom = row.sightings[camera].box
@@ -155,6 +156,7 @@ def _drawn(
     """Yield index and marked picture of every instant of a camera."""
     watch = observation.watch
     ref_from_world = watch.rig.world_from_ref.inverse()
+    viewer = watch.viewer(camera)
     by_frame: dict[str, list[Row]] = {}
     for row in rows:
         by_frame.setdefault(row.frame, []).append(row)
@@ -162,7 +164,7 @@ def _drawn(
     for index, frame in enumerate(watch.times_s):
         for row in by_frame.get(frame, ()):
             tails.setdefault(row.track, []).append(row.position_m)
-        picture = watch.shown(camera, frame)
+        picture = viewer(frame)
         if isinstance(picture, Unreadable):
             continue
         marks = []

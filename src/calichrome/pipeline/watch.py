@@ -1,6 +1,6 @@
 """A recording as instants: what all cameras show of a scene, in linear light, with the time."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,17 +12,20 @@ from calichrome.colorimetry.rgb_spaces import RGB_FROM_XYZ
 from calichrome.core.arrays import UInt8Array
 from calichrome.core.findings import Finding, finding
 from calichrome.errors import RecordingError
-from calichrome.imaging import Image, Recording, Unreadable, open_recording
+from calichrome.imaging import Image, Pixels, Recording, Unreadable, open_recording
 from calichrome.pipeline.check import read_as_calibrated
 from calichrome.pipeline.correctors import CameraCorrectors
 from calichrome.pipeline.workers import n_cores
 from calichrome.rig import Rig
 from calichrome.tracking import Picture
 
-__all__ = ["Instant", "Watch", "open_watch"]
+__all__ = ["Instant", "Viewer", "Watch", "open_watch"]
 
 _ASSUMED_FPS = 30.0  # where no time is known; places do not depend on it
 _APART = 0.25  # of the interval between instants, by which the times of cameras may differ
+
+
+Viewer = Callable[[str], UInt8Array | Unreadable]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -113,17 +116,23 @@ class Watch:
                         pictures[camera] = found
                 yield Instant(frame=frame, time_s=time_s, pictures=pictures)
 
-    def shown(self, camera: str, frame: str) -> UInt8Array | Unreadable:
-        """Return one picture of the scene to look at, (H, W, 3), sRGB."""
-        if frame not in self.scene.files[camera]:
-            return Unreadable("there is no such picture")
-        image = self.scene.read(camera, frame)
-        if isinstance(image, Unreadable):
-            return image
-        xyz = self._converter(camera)(image)
-        linear = xyz @ RGB_FROM_XYZ["srgb"].T if self.in_colour else xyz
-        encoded = encode(np.clip(linear, 0, 1).astype(np.float64), "srgb")
-        return np.asarray(np.rint(encoded * 255), dtype=np.uint8)
+    def viewer(self, camera: str) -> "Viewer":
+        """Return what gives the pictures of one camera to look at: frame -> (H, W, 3), sRGB."""
+        corrected = self.in_colour and self.corrected
+        entry = self.rig.cameras[camera]
+        correctors = CameraCorrectors(camera, entry, "srgb", None) if corrected else None
+
+        def show(frame: str) -> UInt8Array | Unreadable:
+            if frame not in self.scene.files[camera]:
+                return Unreadable("there is no such picture")
+            image = self.scene.read(camera, frame)
+            if isinstance(image, Unreadable):
+                return image
+            if correctors is not None:
+                return _eight_bits(correctors.apply(image, self.scene.folder / camera))
+            return _eight_bits(encode(image.linear(), "srgb").astype(np.float32))
+
+        return show
 
     def _converter(self, camera: str) -> "_Converter":
         entry = self.rig.cameras[camera]
@@ -132,6 +141,14 @@ class Watch:
         return _Converter(
             camera, self.scene.folder / camera, entry.size_wh, correctors, self.in_colour
         )
+
+
+def _eight_bits(pixels: Pixels) -> UInt8Array:
+    if pixels.dtype == np.float32:
+        pixels = np.rint(np.clip(pixels, 0, 1) * 255)
+    elif pixels.dtype == np.uint16:
+        pixels = pixels // 257
+    return np.asarray(pixels, dtype=np.uint8)
 
 
 @dataclass(frozen=True, slots=True)

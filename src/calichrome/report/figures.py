@@ -52,6 +52,7 @@ def tracks_figure(
     plan.set_aspect("equal", adjustable="datalim")
     plan.set_xlabel("x (m)")
     plan.set_ylabel("y (m)")
+    space.set_box_aspect(None, zoom=0.85)  # or the label of z is cut off
     for axis in "xyz":
         getattr(space, f"set_{axis}label")(f"{axis} (m)")
     return figure
