@@ -172,6 +172,7 @@ def test_pictures_of_two_sizes(refused: Refused, small: Small, tmp_path: Path) -
     refused("calibrate", folder, "-o", tmp_path / "rig.json", says=says)
 
 
+@pytest.mark.slow
 def test_grey_16_bit_recording(cli: Cli, small: Small, tmp_path: Path) -> None:
     folder = small(4, toml=False)
     for path in [*(folder / "cam0").iterdir(), *(folder / "cam1").iterdir()]:
@@ -185,6 +186,7 @@ def test_grey_16_bit_recording(cli: Cli, small: Small, tmp_path: Path) -> None:
     assert all(camera["rms_px"] < 0.15 for camera in outcome.json["cameras"].values())
 
 
+@pytest.mark.slow
 def test_one_grey_16_bit_picture_among_colour_ones(cli: Cli, small: Small, tmp_path: Path) -> None:
     """It serves the geometry, and does not change how the others are read."""
     folder = small(4, toml=False)

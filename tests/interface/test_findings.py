@@ -381,6 +381,7 @@ def test_exposure_changes_fires(colour_board: Target, rng: np.random.Generator) 
     assert max(factor, 1 / factor) == pytest.approx(1.5, rel=0.01)
 
 
+@pytest.mark.slow
 def test_exposure_changes_names_the_camera(colour_board: Target, rng: np.random.Generator) -> None:
     """Of three cameras, the one that jumps against both others."""
     steady = _discs(colour_board)
@@ -406,6 +407,7 @@ def test_encoding_doubtful_fires(colour_board: Target, rng: np.random.Generator)
     assert item.data["slope"] == pytest.approx(0.85, abs=0.03)
 
 
+@pytest.mark.slow
 def test_encoding_doubtful_fires_on_pictures(cli: Cli, small: Small, tmp_path: Path) -> None:
     folder = small(3)
     fires = {}
@@ -483,6 +485,7 @@ def _of(rig: dict[str, Any], code: str) -> list[dict[str, Any]]:
     return [item for item in rig["findings"] if item["code"] == code]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("last_s", [0.02, 0.01])
 def test_exif_exposure(cli: Cli, small: Small, tmp_path: Path, last_s: float) -> None:
     folder = small(4)

@@ -55,6 +55,7 @@ def test_caliscope_calibrates(data: Path, tmp_path: Path) -> None:
     assert "unsynchronised" in {item["code"] for item in rig["findings"]}
 
 
+@pytest.mark.slow
 def test_videos_of_unknown_cameras_are_not_corrected(
     data: Path, tmp_path: Path, simulated: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -23,6 +23,7 @@ def rig(simulated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_corners_of_a_symmetric_board_come_back(data: Path, tmp_path: Path) -> None:
     """Which way up it was is as open in a corner file as in the pictures."""
     folder, corners = str(data / "boofcv_trinocular_odd"), str(tmp_path / "odd.csv")
@@ -35,6 +36,7 @@ def test_corners_of_a_symmetric_board_come_back(data: Path, tmp_path: Path) -> N
     assert max(pair["rms_px"] for pair in pairs) < 0.2
 
 
+@pytest.mark.slow
 def test_corners_file_knows_no_encoding(simulated: Path, tmp_path: Path) -> None:
     corners, out = tmp_path / "c.csv", tmp_path / "rig.json"
     assert main(["detect", str(simulated), "-o", str(corners)]) == 0
@@ -80,6 +82,7 @@ def test_correct_goes_on_past_bad_and_black_pictures(
     assert [Path(item["file"]).name for item in said["skipped"]] == ["cut.png"]
 
 
+@pytest.mark.slow
 def test_unverified_scale_is_one_factor_for_all_axes(simulated: Path) -> None:
     """0.5 % of the distance, whichever way the camera lies: axes do not average it away."""
     rigs = [run(simulated, CalibrationSettings(square=size)).rig for size in (None, "30mm")]

@@ -220,6 +220,7 @@ def _fitted(samples: Mapping[str, ColourSamples], target: Target) -> dict[str, C
     return {camera: item for camera, item in found.items() if not isinstance(item, str)}
 
 
+@pytest.mark.slow
 def test_the_order_of_frames_and_cameras_means_nothing(
     solved: tuple[dict[str, ColourSamples], dict[str, ColourSolution]],
     standard_target: Target,
@@ -236,6 +237,7 @@ def test_the_order_of_frames_and_cameras_means_nothing(
             )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_held_out_is_from_cameras_that_never_saw_the_disc(
     solved: tuple[dict[str, ColourSamples], dict[str, ColourSolution]], standard_target: Target
 ) -> None:

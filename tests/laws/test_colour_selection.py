@@ -219,6 +219,7 @@ def test_priorities_decide_which_errors_count(
         assert "larger by -" not in loser.why_not
 
 
+@pytest.mark.slow
 def test_a_matrix_camera_loses_nothing(checker_pairs: PairsOf, rng: np.random.Generator) -> None:
     """Where a matrix is the truth, noise of 1 % misleads the choice by less than it shows itself.
 
@@ -269,6 +270,7 @@ def test_what_depends_on_exposure_is_never_chosen(
         assert table[truth].mean < 0.01 * result.best.mean
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", [_NIKON, _SIGMA, "bells"])
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_what_is_chosen_is_stable(camera: str, noise: float, checker_pairs: PairsOf) -> None:
@@ -283,6 +285,7 @@ def test_what_is_chosen_is_stable(camera: str, noise: float, checker_pairs: Pair
     assert result.best.mean <= 1.05 * min(item.mean for item in stable)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("space", DESCRIPTION_SPACES)
 def test_every_space_leads_to_a_choice(space: DescriptionSpace, checker_pairs: PairsOf) -> None:
     """Models that go wild between the discs have large errors there, not undefined ones."""

@@ -90,6 +90,7 @@ def _said(found: Drift) -> set[str]:
     return {camera for camera, item in found.cameras.items() if not item.unchanged}
 
 
+@pytest.mark.slow
 def test_a_moved_camera_is_named_and_measured(
     four: tuple[Scene, KnownRig], rng: np.random.Generator
 ) -> None:
@@ -155,6 +156,7 @@ def test_a_zoomed_lens_is_named_and_measured(
         assert lens.sigma[0] < 1e-3
 
 
+@pytest.mark.slow
 def test_a_lone_camera_knows_its_lens(rng: np.random.Generator) -> None:
     scene = stereo(0)
     known = _known(_solved(scene, 0), scene)
@@ -166,6 +168,7 @@ def test_a_lone_camera_knows_its_lens(rng: np.random.Generator) -> None:
     assert find_drift(known, still).changes == ()
 
 
+@pytest.mark.slow
 def test_two_cameras_blame_each_other(rng: np.random.Generator) -> None:
     """With two there is no third to decide: both are named, each as the other's alternative."""
     scene = stereo(0)
@@ -179,6 +182,7 @@ def test_two_cameras_blame_each_other(rng: np.random.Generator) -> None:
     )
 
 
+@pytest.mark.slow
 def test_another_lens_does_not_fit(rng: np.random.Generator) -> None:
     """Five times the noise is explained by no move."""
     scene = stereo(0)

@@ -187,6 +187,7 @@ def _try(
     return _Tally(n_views, n_views - len(refusals), n_wrong, tuple(refusals))
 
 
+@pytest.mark.slow
 def test_windows_of_4x3_squares_are_placed(
     standard_target: Target,
     small_target: Target,
@@ -200,6 +201,7 @@ def test_windows_of_4x3_squares_are_placed(
         assert tally.n_placed >= 0.98 * tally.n_views
 
 
+@pytest.mark.slow
 def test_smaller_windows_are_placed_or_refused(
     standard_target: Target, seen_colours: list[FloatArray], rng: np.random.Generator
 ) -> None:

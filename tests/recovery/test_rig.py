@@ -217,6 +217,7 @@ def test_order_of_cameras_and_frames_changes_nothing(
         assert (moved <= 1e-4 * np.sqrt(np.diag(_cov(here)))).all()
 
 
+@pytest.mark.slow
 @_BOTH
 def test_places_scatter_as_their_covariances_say(
     solve: Solve, board: Target, make_rig: MakeRig, observe: Observe, rng: np.random.Generator
@@ -236,6 +237,7 @@ def test_places_scatter_as_their_covariances_say(
     assert squared["c"] / (6 * n_draws) == pytest.approx(1, abs=0.32)
 
 
+@pytest.mark.slow
 def test_joint_places_are_better_than_a_chain(
     board: Target, make_rig: MakeRig, observe: Observe, rng: np.random.Generator
 ) -> None:
@@ -460,6 +462,7 @@ def _held_out(dataset: Dataset, board: Target, solve: Solve) -> dict[str, float 
     )
 
 
+@pytest.mark.slow
 @_BOTH
 def test_held_out_error_is_the_noise(
     solve: Solve, board: Target, make_rig: MakeRig, observe: Observe, rng: np.random.Generator

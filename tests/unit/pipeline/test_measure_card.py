@@ -67,6 +67,7 @@ def _paint(path: Path, polygon: FloatArray, colour: tuple[int, int, int]) -> Non
     cv2.imwrite(str(path), pixels)
 
 
+@pytest.mark.slow
 def test_discs_are_measured_as_well_as_cameras_can(
     printed: Printed, found: CardMeasurement
 ) -> None:
@@ -100,6 +101,7 @@ def test_the_target_is_a_measured_one(printed: Printed, found: CardMeasurement) 
     assert found.target.square_m == printed.target.square_m
 
 
+@pytest.mark.slow
 def test_corners_of_the_card_may_be_given(printed: Printed, one: Path) -> None:
     corners = _card_corners(one / "right.png")
     searched = measure_from_card(printed.target, one / "right.png")
