@@ -1,9 +1,7 @@
 """A folder of pictures or videos, read as cameras and frames."""
 
 import hashlib
-import re
-from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,8 +9,8 @@ from calichrome.errors import RecordingError
 from calichrome.imaging.files import MAX_MEGAPIXELS, PICTURE_SUFFIXES, read_image, read_size
 from calichrome.imaging.header import Unreadable
 from calichrome.imaging.image import Image
-from calichrome.imaging.pattern import NamePattern
 from calichrome.imaging.recording_file import CameraEntry, RecordingFile, read_recording_file
+from calichrome.imaging.recording_names import Files, most_shared, natural_order, read_names
 from calichrome.imaging.recording_times import read_picture_times
 from calichrome.imaging.recording_videos import (
     VideoFrames,
@@ -22,7 +20,7 @@ from calichrome.imaging.recording_videos import (
 )
 from calichrome.imaging.video import read_frame
 
-__all__ = ["Recording", "open_recording", "picture_files", "read_names"]
+__all__ = ["Recording", "open_recording", "picture_files"]
 
 _BACKGROUND = "background"
 
@@ -214,8 +212,10 @@ def open_recording(
     return Recording(
         folder=folder,
         files={
-            camera: {frame: files[camera][frame] for frame in sorted(files[camera], key=_natural)}
-            for camera in sorted(files, key=_natural)
+            camera: {
+                frame: files[camera][frame] for frame in sorted(files[camera], key=natural_order)
+            }
+            for camera in sorted(files, key=natural_order)
         },
         ignored=tuple(path for path in paths if path not in used),
         reading=reading,
@@ -223,15 +223,12 @@ def open_recording(
         max_megapixels=max_megapixels,
         videos=videos,
         background={
-            camera: {frame: own[frame] for frame in sorted(own, key=_natural)}
+            camera: {frame: own[frame] for frame in sorted(own, key=natural_order)}
             for camera, own in background.items()
             if camera in files
         },
         background_videos=background_videos,
     )
-
-
-Files = dict[str, dict[str, Path]]
 
 
 def _check_only_videos(
@@ -256,7 +253,7 @@ def _read_videos(videos: VideoFrames) -> tuple[Files, str]:
         for camera, video in videos.videos.items()
     }
     extra = f"; {videos.table.reading}" if videos.table.reading else ""
-    return files, f"videos are cameras: {', '.join(sorted(files, key=_natural))}{extra}"
+    return files, f"videos are cameras: {', '.join(sorted(files, key=natural_order))}{extra}"
 
 
 def _with_pictures(files: Files, pictures: Files, reading: str) -> tuple[Files, str]:
@@ -266,138 +263,6 @@ def _with_pictures(files: Files, pictures: Files, reading: str) -> tuple[Files, 
                 f"camera {camera} has pictures and a video; put one of them into another folder"
             )
     return files | pictures, f"videos are cameras: {', '.join(files)}; {reading}"
-
-
-def read_names(folder: Path, paths: Sequence[Path], pattern: str | None) -> tuple[Files, str]:
-    """Read names of pictures as cameras and frames; say how.
-
-    Parameters
-    ----------
-    folder
-        The folder that the names are relative to.
-    paths
-        Pictures below it; they need not exist.
-    pattern
-        See `NamePattern`; None: the layout is recognised.
-
-    Raises
-    ------
-    RecordingError
-        If no name matches, or several readings are possible.
-    """
-    if pattern is None:
-        return _read_layout(folder, paths)
-    files = _read_by_pattern(folder, paths, NamePattern.compile(pattern))
-    if not files:
-        raise RecordingError(
-            f"{folder}: none of {len(paths)} pictures matches --pattern {pattern}; names look like "
-            f"{_stem(folder, paths[0])}"
-        )
-    return files, f"read by the pattern {pattern}"
-
-
-def _natural(name: str) -> list[tuple[bool, int, str]]:
-    """Sort key by which frame 9 comes before frame 10."""
-    parts = re.findall(r"\d{1,18}|\D+", name)
-    return [(not part.isdigit(), int(part) if part.isdigit() else 0, part) for part in parts]
-
-
-def _stem(folder: Path, path: Path) -> str:
-    return path.relative_to(folder).with_suffix("").as_posix()
-
-
-def _insert(files: Files, camera: str, frame: str, path: Path) -> None:
-    frames = files.setdefault(camera, {})
-    if frame in frames:
-        raise RecordingError(
-            f"{frames[frame]} and {path} are both frame {frame} of camera {camera}; remove one, or "
-            f"tell them apart with --pattern"
-        )
-    frames[frame] = path
-
-
-def _read_by_pattern(folder: Path, paths: Iterable[Path], pattern: NamePattern) -> Files:
-    files: Files = {}
-    for path in paths:
-        found = pattern.match(_stem(folder, path))
-        if found is not None:
-            _insert(files, *found, path)
-    return files
-
-
-def _read_layout(folder: Path, paths: Sequence[Path]) -> tuple[Files, str]:
-    """Recognise ``<camera>/<frame>`` or a flat folder; refuse what can be read in two ways."""
-    flat = [path for path in paths if path.parent == folder]
-    nested = [path for path in paths if path.parent.parent == folder]
-    if flat and nested:
-        raise RecordingError(
-            f"{folder}: holds pictures ({len(flat)}) and folders of pictures ({len(nested)}); say "
-            f'which with --pattern "{{frame}}" or --pattern "{{camera}}/{{frame}}"'
-        )
-    if flat:
-        return _read_flat(folder, flat)
-    files: Files = {}
-    for path in nested:
-        _insert(files, path.parent.name, path.stem, path)
-    if not files:
-        raise RecordingError(
-            f"{folder}: its pictures lie deeper than <camera>/<frame>; say how their names are "
-            f'built with --pattern, like "{_stem(folder, paths[0])}" with fields'
-        )
-    return _drop_camera_from_frames(files)
-
-
-def _read_flat(folder: Path, paths: Sequence[Path]) -> tuple[Files, str]:
-    one_camera = {"cam0": {path.stem: path for path in paths}}
-    several = _camera_in_name(paths)
-    if several is None:
-        return one_camera, "a flat folder: one camera, cam0"
-    pattern, names = several
-    raise RecordingError(
-        f"{folder}: can be read as one camera with {len(paths)} frames (--pattern "
-        f'"{{frame}}") or as cameras {", ".join(names)} (--pattern "{pattern}"); say which'
-    )
-
-
-def _camera_in_name(paths: Sequence[Path]) -> tuple[str, list[str]] | None:
-    """Whether names hold a camera, like left01 or frame_01_left; the pattern and the cameras.
-
-    Cameras have letters in their names, at least two pictures, and share more than one frame:
-    dates and times do not.
-    """
-    readings = (
-        (r"(?P<camera>.*?\D)(?P<frame>\d+)", "{{camera:{0}}}{{frame}}"),
-        (r"(?P<frame>.*\d)(?P<camera>\D+)", "{{frame}}{{camera:{0}}}"),
-    )
-    for expression, text in readings:
-        frames = defaultdict(set)
-        for path in paths:
-            found = re.fullmatch(expression, path.stem)
-            if found is not None and re.search(r"[^\W\d_]", found["camera"]):
-                frames[found["camera"]].add(found["frame"])
-        cameras = sorted(camera for camera, own in frames.items() if len(own) > 1)
-        shared = Counter(frame for camera in cameras for frame in frames[camera])
-        if len(cameras) > 1 and sum(count > 1 for count in shared.values()) > 1:
-            return text.format("|".join(cameras)), cameras
-    return None
-
-
-def _drop_camera_from_frames(files: Files) -> tuple[Files, str]:
-    """Read ``left/left01`` beside ``right/right01`` as frame 01, if only that gives pairs."""
-    plain = f"folders are cameras: {', '.join(sorted(files))}"
-    if len(files) < 2 or _most_shared(files) > 1:
-        return files, plain
-    shorter: Files = {}
-    for camera, frames in files.items():
-        for frame, path in frames.items():
-            _insert(shorter, camera, frame.replace(camera, "", 1).strip("_-. ") or frame, path)
-    if _most_shared(shorter) > 1:
-        return shorter, f"{plain}; the camera's name is taken out of the frame's"
-    return files, plain
-
-
-def _most_shared(files: Files) -> int:
-    return max(Counter(frame for frames in files.values() for frame in frames).values(), default=0)
 
 
 def _split_background(files: Files) -> tuple[Files, Files]:
@@ -434,7 +299,7 @@ def _only(files: Files, cameras: Sequence[str], folder: Path) -> Files:
 
 
 def _check_common_frames(files: Files, folder: Path) -> None:
-    if len(files) > 1 and _most_shared(files) < 2:
+    if len(files) > 1 and most_shared(files) < 2:
         examples = "; ".join(
             f"{camera}: {', '.join(sorted(frames)[:3])}" for camera, frames in sorted(files.items())
         )

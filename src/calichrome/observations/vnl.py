@@ -14,7 +14,7 @@ import numpy as np
 
 from calichrome.core.arrays import FloatArray
 from calichrome.errors import FileFormatError, RecordingError
-from calichrome.imaging.recording import read_names
+from calichrome.imaging.recording_names import read_names
 from calichrome.observations.board_view import BoardView
 from calichrome.observations.dataset import Dataset
 
