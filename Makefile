@@ -1,4 +1,4 @@
-# make demo | make test | make lint: each does all its own set-up in .venv.
+# make demo | make test | make lint | make coverage: each does all its own set-up in .venv.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -6,7 +6,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint setup clean
+.PHONY: demo test coverage lint setup clean
 
 setup: $(STAMP)
 
@@ -21,6 +21,9 @@ demo: $(STAMP)
 	$(BIN)/calichrome demo --force -o demo
 
 test: $(STAMP)
+	$(BIN)/python -m pytest -m "not slow" --numprocesses 2 --dist loadfile
+
+coverage: $(STAMP) # half as slow again as test
 	$(BIN)/python -m pytest -m "not slow" --numprocesses 2 --dist loadfile --cov --cov-report=term:skip-covered
 
 lint: $(STAMP)

@@ -14,6 +14,7 @@ from types import MappingProxyType
 import numpy as np
 from benchmarks.colour import ours
 from benchmarks.colour.fuzz import print_fuzz
+from benchmarks.colour.joint import print_joint
 from benchmarks.colour.peers import LEAST_SQUARES, PEERS, NotRunError
 from benchmarks.colour.problems import ColourProblem, lit_chart, noisy, problems
 from benchmarks.colour.scoring import (
@@ -257,6 +258,10 @@ def _print_fuzz(bench: _Bench) -> list[Bar]:
     return print_fuzz(bench.three_cameras, bench.points)
 
 
+def _print_joint(bench: _Bench) -> list[Bar]:
+    return print_joint(bench.three_cameras, bench.draws)
+
+
 _PARTS: Mapping[str, Callable[[_Bench], list[Bar]]] = MappingProxyType(
     {
         "noise-free": _print_noise_free,
@@ -265,6 +270,7 @@ _PARTS: Mapping[str, Callable[[_Bench], list[Bar]]] = MappingProxyType(
         "pairs": _print_pairs,
         "fuzz": _print_fuzz,
         "tone": _print_tone,
+        "joint": _print_joint,
     }
 )
 

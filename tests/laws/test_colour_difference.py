@@ -12,6 +12,7 @@ from calichrome.colorimetry.difference import (
     delta_e_2000_xyz,
     lab_from_xyz,
     xyz_from_lab,
+    xyz_per_lab,
 )
 from calichrome.colorimetry.reference import _colour
 from calichrome.core.arrays import FloatArray
@@ -113,6 +114,17 @@ def test_colour_science_agrees_on_lab(white: FloatArray, rng: np.random.Generato
     # it takes the white as chromaticity, scaled to Y = 1, as ours is
     np.testing.assert_allclose(found, colour.XYZ_to_Lab(xyz, white_xy), atol=1e-9)
     np.testing.assert_allclose(xyz, colour.Lab_to_XYZ(found, white_xy), atol=1e-11)
+
+
+@pytest.mark.parametrize("white", [D65, D50], ids=["D65", "D50"])
+def test_slopes_of_xyz_are_finite_differences(white: FloatArray, rng: np.random.Generator) -> None:
+    xyz = rng.uniform(0, 1.1, (500, 3)) ** 3
+    lab, step = lab_from_xyz(xyz, white), 1e-5
+    columns = [
+        (xyz_from_lab(lab + axis, white) - xyz_from_lab(lab - axis, white)) / (2 * step)
+        for axis in step * np.eye(3)
+    ]
+    np.testing.assert_allclose(xyz_per_lab(xyz, white), np.stack(columns, axis=-1), atol=1e-8)
 
 
 def test_white_and_black() -> None:

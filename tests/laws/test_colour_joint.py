@@ -8,7 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calichrome.colorimetry.difference import delta_e_2000_xyz, lab_from_xyz, xyz_from_lab
+from calichrome.colorimetry.difference import (
+    delta_e_2000_xyz,
+    lab_from_xyz,
+    xyz_from_lab,
+    xyz_per_lab,
+)
 from calichrome.colorimetry.reference import WAVELENGTHS_NM, reflectance_to_xyz_d65
 from calichrome.colour.joint import JointColour, fit_together
 from calichrome.colour.model import ColourModel
@@ -30,16 +35,6 @@ _MATRICES = {
 }
 
 
-def _print_cov(xyz: FloatArray) -> FloatArray:
-    lab, step = lab_from_xyz(xyz), 1e-4
-    columns = [
-        (xyz_from_lab(lab + axis) - xyz_from_lab(lab - axis)) / (2 * step)
-        for axis in step * np.eye(3)
-    ]
-    slopes = np.stack(columns, axis=-1)
-    return np.asarray(_PRINT_SD**2 * slopes @ np.swapaxes(slopes, 1, 2))
-
-
 class _Chart:
     """The different colours of a target, and pairs of what cameras make of them."""
 
@@ -47,7 +42,8 @@ class _Chart:
         names = [marker.name for marker in target.markers]
         self.rows = [names.index(name) for name in dict.fromkeys(names)]
         self.xyz = target.marker_xyz_d65[self.rows]
-        self.cov = _print_cov(self.xyz)
+        slopes = xyz_per_lab(self.xyz)
+        self.cov = _PRINT_SD**2 * slopes @ np.swapaxes(slopes, 1, 2)
 
     def pairs(self, rgb: FloatArray, white_rgb: FloatArray, white_xyz: FloatArray) -> ColourPairs:
         return ColourPairs.of(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calichrome.colorimetry.description import DESCRIPTION_SPACES, DescriptionSpace, difference
-from calichrome.colorimetry.difference import lab_from_xyz, xyz_from_lab
+from calichrome.colorimetry.difference import xyz_per_lab
 from calichrome.colour.model import TermModel
 from calichrome.colour.models import MODELS
 from calichrome.colour.models.linear import LinearWhite
@@ -26,21 +26,12 @@ _DRAWS = 2000
 _NOISE, _PRINT_SD = 0.004, 0.5  # of a channel; in L, a and b
 
 
-def _lab_slopes(xyz: FloatArray, white: FloatArray) -> FloatArray:
-    lab, step = lab_from_xyz(xyz, white), 1e-4
-    columns = [
-        (xyz_from_lab(lab + axis, white) - xyz_from_lab(lab - axis, white)) / (2 * step)
-        for axis in step * np.eye(3)
-    ]
-    return np.stack(columns, axis=-1)
-
-
 class _Lottery:
     """The same chart again and again, with fresh noise of the camera and of the print."""
 
     def __init__(self, like: ColourPairs, noise: float, print_sd: float) -> None:
         self._like, self._noise = like, noise
-        self._slopes = print_sd * _lab_slopes(like.xyz, like.white_xyz)
+        self._slopes = print_sd * xyz_per_lab(like.xyz, like.white_xyz)
         self._rgb_cov = (noise * like.rgb)[:, :, None] ** 2 * np.eye(3)
         self._xyz_cov = self._slopes @ np.swapaxes(self._slopes, 1, 2)
         self.clean = self._pairs(like.rgb, like.xyz)

@@ -5,7 +5,7 @@ import numpy as np
 from calichrome.colorimetry.adaptation import D65
 from calichrome.core.arrays import FloatArray
 
-__all__ = ["delta_e_2000", "delta_e_2000_xyz", "lab_from_xyz", "xyz_from_lab"]
+__all__ = ["delta_e_2000", "delta_e_2000_xyz", "lab_from_xyz", "xyz_from_lab", "xyz_per_lab"]
 
 _EPSILON, _KAPPA = 216 / 24389, 24389 / 27
 
@@ -29,6 +29,14 @@ def xyz_from_lab(lab: FloatArray, white: FloatArray = D65) -> FloatArray:
     f = np.stack([fy + lab[..., 1] / 500, fy, fy - lab[..., 2] / 200], axis=-1)
     cubed = f**3
     return np.asarray(np.where(cubed > _EPSILON, cubed, (116 * f - 16) / _KAPPA) * white)
+
+
+def xyz_per_lab(xyz: FloatArray, white: FloatArray = D65) -> FloatArray:
+    """Differentiate XYZ by L*, a* and b*, the last axis; shape (..., 3, 3)."""
+    ratio = xyz / white
+    slope = white * np.where(ratio > _EPSILON, 3 * np.cbrt(ratio) ** 2, 116 / _KAPPA)
+    f_per_lab = np.array([[1 / 116, 1 / 500, 0], [1 / 116, 0, 0], [1 / 116, 0, -1 / 200]])
+    return np.asarray(slope[..., None] * f_per_lab)
 
 
 def delta_e_2000(lab_a: FloatArray, lab_b: FloatArray) -> FloatArray:

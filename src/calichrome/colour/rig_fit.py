@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from calichrome.colorimetry.description import DescriptionSpace
-from calichrome.colorimetry.difference import delta_e_2000_xyz, lab_from_xyz, xyz_from_lab
+from calichrome.colorimetry.difference import delta_e_2000_xyz, xyz_per_lab
 from calichrome.colorimetry.rgb_spaces import XYZ_FROM_RGB
 from calichrome.colour.families import fit_model
 from calichrome.colour.joint import JointColour, fit_together
@@ -151,14 +151,7 @@ class _Colours:
             target.marker_xyz_d65, axis=0, return_index=True, return_inverse=True
         )
         spread = print_tolerance(target)
-        lab, step = lab_from_xyz(xyz), 1e-3
-        slopes = np.stack(
-            [
-                (xyz_from_lab(lab + e) - xyz_from_lab(lab - e)) / (2 * step)
-                for e in step * np.eye(3)
-            ],
-            axis=-1,
-        )
+        slopes = xyz_per_lab(xyz)
         return cls(
             xyz=xyz,
             cov=spread**2 * slopes @ np.swapaxes(slopes, 1, 2),
