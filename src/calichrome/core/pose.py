@@ -88,10 +88,11 @@ class Pose:
 
 def cross_matrix(vectors: FloatArray) -> FloatArray:
     """Return [v]x of shape (..., 3, 3), so that ``cross_matrix(v) @ w == cross(v, w)``."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [np.stack(row, axis=-1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
-    return np.stack(rows, axis=-2)
+    result = np.zeros((*vectors.shape, 3))
+    for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        result[..., c, b] = vectors[..., a]
+        result[..., b, c] = -vectors[..., a]
+    return result
 
 
 def _orthonormal(rotation: FloatArray) -> FloatArray:

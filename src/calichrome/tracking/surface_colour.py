@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calichrome.colorimetry.difference import delta_e_2000, lab_from_xyz
+from calichrome.colorimetry.difference import delta_e_2000, lab_from_xyz, xyz_per_lab
 from calichrome.core.arrays import FloatArray
 from calichrome.tracking.background import Background, Picture
 
@@ -79,10 +79,7 @@ def surface_colour(
     if not xyz[1] > 0:
         return None
     sigma = background.sigma_at(xyz)
-    slope = np.stack(
-        [(lab_from_xyz(xyz + step) - lab_from_xyz(xyz - step)) / 2e-4 for step in 1e-4 * np.eye(3)],
-        axis=1,
-    )
+    slope = np.linalg.inv(xyz_per_lab(xyz))
     noise = slope @ np.diag(sigma**2 / len(lit)) @ slope.T
     return SurfaceColour(lab_from_xyz(xyz), xyz, noise)
 

@@ -16,8 +16,7 @@ References
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import digamma, polygamma
-from scipy.stats import chi2
+from scipy.special import chdtri, digamma, polygamma
 
 from calichrome.core.arrays import BoolArray, FloatArray
 from calichrome.geometry.bundle.observations import Observations
@@ -104,7 +103,7 @@ def _shrunk(squares: FloatArray, redundancy: FloatArray, common: FloatArray) -> 
     mean = float(weights @ logs / weights.sum())
     spread = float(weights @ (logs - mean) ** 2)
     n_views = len(squares)
-    if spread < chi2.isf(_BY_CHANCE, n_views - 1):
+    if spread < chdtri(n_views - 1, _BY_CHANCE):
         return common
     beyond = (spread - (n_views - 1)) / (weights.sum() - (weights @ weights) / weights.sum())
     variance = np.exp(mean + beyond / (beyond + 1 / weights) * (logs - mean))

@@ -210,10 +210,11 @@ def _lengths(
     observations: Observations, whitenings: Sequence[FloatArray], state: BundleState
 ) -> list[FloatArray]:
     """Whitened 2-D residuals, (V, N) by chunk."""
-    return [
-        np.linalg.norm(whiten(whitening, rows), axis=1)
+    whitened = (
+        whiten(whitening, rows)
         for whitening, rows in zip(whitenings, chunk_residuals(observations, state), strict=True)
-    ]
+    )
+    return [np.hypot(rows[:, 0], rows[:, 1]) for rows in whitened]
 
 
 def _inside(
