@@ -1,7 +1,7 @@
 """How well three different sensors that look at one print agree on other colours.
 
-The print's table is wrong by the same errors for all of them. Every camera gets the model that is
-chosen for it alone; then all are fitted with disc colours that they share, and each on the table.
+The print's table is wrong by the same errors for all of them. The same models are fitted with disc
+colours that the cameras share, and to each camera alone on the table.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,8 +21,8 @@ from calichrome.colorimetry.difference import (
 from calichrome.colour.joint import fit_together
 from calichrome.colour.model import ColourModel
 from calichrome.colour.pairs import ColourPairs
-from calichrome.colour.selection import AUTO, select_model
-from calichrome.core.arrays import FloatArray
+from calichrome.colour.selection import Selection, select_together
+from calichrome.core.arrays import FloatArray, IntArray
 
 __all__ = ["print_joint"]
 
@@ -91,7 +91,7 @@ def _measure(
             }
             rows = dict.fromkeys(pairs, np.arange(len(nominal)))
             for model, by_sharing in parts.items():
-                names = {camera: _name(model, own) for camera, own in pairs.items()}
+                names = _names(model, pairs, rows, nominal, cov)
                 for share, collected in by_sharing.items():
                     fitted = fit_together(pairs, rows, names, nominal, cov, share=share)
                     collected.append(_differences(rig, fitted.models))
@@ -130,13 +130,17 @@ def _pairs(problem: ColourProblem, nominal_xyz: FloatArray, cov: FloatArray) -> 
     )
 
 
-def _name(model: str, pairs: ColourPairs) -> str:
+def _names(
+    model: str,
+    pairs: Mapping[str, ColourPairs],
+    rows: Mapping[str, IntArray],
+    nominal: FloatArray,
+    cov: FloatArray,
+) -> dict[str, str]:
     if model != _CHOSEN:
-        return model
-    selection = select_model(pairs, AUTO)
-    if isinstance(selection, str):
-        raise TypeError(selection)
-    return selection.best.name
+        return dict.fromkeys(pairs, model)
+    chosen = select_together(pairs, rows, nominal, cov)
+    return {camera: own.best.name for camera, own in chosen.items() if isinstance(own, Selection)}
 
 
 def _differences(rig: Rig, models: Mapping[str, ColourModel]) -> tuple[float, float]:

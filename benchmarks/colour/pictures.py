@@ -19,7 +19,12 @@ from matplotlib.ticker import FixedLocator
 
 from calichrome.colorimetry.adaptation import D65
 from calichrome.colorimetry.description import metric
-from calichrome.colorimetry.difference import delta_e_2000, lab_from_xyz, xyz_from_lab
+from calichrome.colorimetry.difference import (
+    delta_e_2000,
+    lab_from_xyz,
+    xyz_from_lab,
+    xyz_per_lab,
+)
 from calichrome.colorimetry.encoding import encode, linearise
 from calichrome.colorimetry.rgb_spaces import RGB_FROM_XYZ
 from calichrome.colour.families import fit_model, leave_one_out
@@ -284,10 +289,7 @@ def weights() -> Figure:
     problem = next(iter(problems(every=False)))
     xyz, white = problem.train.xyz, problem.white_xyz
     lab = lab_from_xyz(xyz, white)
-    slopes = np.stack(
-        [(lab_from_xyz(xyz + e, white) - lab_from_xyz(xyz - e, white)) / 2e-5
-         for e in 1e-5 * np.eye(3)], axis=-1,
-    )  # fmt: skip
+    slopes = np.linalg.inv(xyz_per_lab(xyz, white))
     metric_cov = np.linalg.inv(metric(xyz, "lab2000", white))
     figure = Figure(figsize=(5, 4.6), layout="constrained")
     axes = figure.subplots()

@@ -15,7 +15,7 @@ from calichrome.colour.model import ColourModel
 from calichrome.colour.models import MODELS
 from calichrome.colour.pairs import ColourPairs, print_tolerance
 from calichrome.colour.samples import ColourSamples, combine_views
-from calichrome.colour.selection import AUTO, Candidate, select_model
+from calichrome.colour.selection import AUTO, Candidate, select_together
 from calichrome.colour.uncertainty import bound_95, model_covariance
 from calichrome.core.arrays import BoolArray, FloatArray, IntArray
 from calichrome.target import Target
@@ -67,7 +67,7 @@ class ColourSolution:
     model
         Linear camera RGB, without the fall-off of the lens, to XYZ under D65.
     candidates
-        All models that were tried on this camera alone.
+        All models that were tried, as by `select_together`.
     disc_rgb : (n_markers, 3) float
         Mean over views in the reference light; nan for discs that were never usable.
     disc_xyz, held_out_xyz : (n_markers, 3) float
@@ -192,10 +192,15 @@ def fit_rig_colour(
     if settings.look_of in seen:
         seen, board = _as_shown_by(seen[settings.look_of], seen, board)
         settings = replace(settings, share=False)
+    chosen = select_together(
+        {camera: own.pairs for camera, own in seen.items()},
+        {camera: own.colours for camera, own in seen.items()},
+        board.xyz, board.cov, settings.names,
+        share=settings.share, mean_error=settings.mean_error,
+    )  # fmt: skip
     tried: dict[str, tuple[Candidate, ...]] = {}
     names: dict[str, str] = {}
-    for camera, own in list(seen.items()):
-        selection = select_model(own.pairs, settings.names, mean_error=settings.mean_error)
+    for camera, selection in chosen.items():
         if isinstance(selection, str):
             results[camera] = selection
             del seen[camera]

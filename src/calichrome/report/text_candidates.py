@@ -12,6 +12,11 @@ _HEADER = (
     "ns/px",
 )  # fmt: skip
 
+_SHARED = (
+    "\n(Cameras that share what the discs look like choose by that: these errors are against the "
+    "discs as all cameras see them,\nthose of the cameras' table against the target.)"
+)
+
 
 def candidates_text(rig: Rig) -> str:
     """Say what every colour model would have done, and why it lost."""
@@ -27,6 +32,8 @@ def _lines(rig: Rig) -> Iterator[str]:
         yield f"\nColour models of {name}, errors in dE2000"
         yield head
         yield from (f"{line}  {row[-1]}".rstrip() for line, row in zip(lines, rows, strict=True))
+    if sum(camera.colour is not None for camera in rig.cameras.values()) > 1:
+        yield _SHARED
 
 
 def _row(item: Mapping[str, object]) -> list[str]:
