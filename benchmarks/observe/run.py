@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from benchmarks.geometry.tables import Bar, print_bars, print_table
 from benchmarks.observe.scenes import Case, make_case, run_command
 from benchmarks.observe.scoring import Scores, associations, centre_sigmas_px, score
@@ -21,6 +22,8 @@ from benchmarks.observe.tables import (
     read_sightings,
     read_tracks,
 )
+
+from calichrome.core.arrays import FloatArray
 
 __all__ = ["main"]
 
@@ -39,11 +42,38 @@ def main(argv: Sequence[str] | None = None) -> None:
         help="folder for what is rendered and calibrated",
     )
     options = parser.parse_args(argv)
-    for seed in (int(text) for text in options.seeds.split(",")):
-        _report(make_case(seed, options.frames, options.cache))
+    scored = [
+        _report(make_case(int(text), options.frames, options.cache))
+        for text in options.seeds.split(",")
+    ]
+    if len(scored) > 1:
+        _print_pooled(scored)
 
 
-def _report(case: Case) -> None:
+def _print_pooled(scored: Sequence[Scores]) -> None:
+    """Print means over workspaces: one workspace holds few draws of the errors that last."""
+    print(f"\n## {len(scored)} workspaces, means and their standard errors")
+    coverage = 100 * np.array([one.coverage for one in scored])
+    colour = np.array([one.colour_de for one in scored])
+    print_bars(
+        [
+            Bar(
+                "distances above their 95 % bound, %",
+                float(coverage.mean()), 93.0, 97.0, sigma=_standard_error(coverage),
+            ),
+            Bar(
+                "colour between cameras, mean dE2000",
+                float(colour.mean()), high=2.0, sigma=_standard_error(colour),
+            ),
+        ]
+    )  # fmt: skip
+
+
+def _standard_error(values: FloatArray) -> float:
+    return float(values.std(ddof=1) / np.sqrt(len(values)))
+
+
+def _report(case: Case) -> Scores:
     corrected, corrected_s = _observe(case)
     raw, raw_s = _observe(case, _RAW)
     scores, matching = score(*corrected, case.truth)
@@ -78,6 +108,7 @@ def _report(case: Case) -> None:
         ["CPU time of observe, s", f"{corrected_s:.0f}", f"{raw_s:.0f}"],
     ]
     print_table(("for information", "colours corrected", "camera values"), rows)
+    return scores
 
 
 def _rows(*runs: Scores) -> list[list[str]]:

@@ -96,6 +96,7 @@ def test_tracks_are_where_the_balls_are(cli: Cli, watched: Path, tmp_path: Path)
         "--sightings", tmp_path / "sightings.csv",
     )  # fmt: skip
     assert len(found["tracks"]) == 2
+    assert (found["born"], found["lost"]) == (0, 0)
     text = (tmp_path / "tracks.csv").read_text()
     assert text.splitlines()[0] == _COLUMNS
     truth = json.loads((watched / "truth.json").read_text())
@@ -130,6 +131,27 @@ def test_overlay_plot_and_classes(cli: Cli, watched: Path, tmp_path: Path) -> No
     assert cv2.imread(str(tmp_path / "plot.png")) is not None
     with av.open(str(tmp_path / "overlay" / "cam1.mp4")) as container:
         assert sum(1 for _ in container.decode(video=0)) == _FRAMES
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--plot", "tracks.xyz"], "--plot draws .png, .pdf or .svg"),
+        (["--classify", "{}/broken.py:name"], "NameError"),
+        (["--classify", "{}/number.py:name"], "is no function"),
+    ],
+)
+def test_said_before_the_work(
+    cli: Cli, watched: Path, tmp_path: Path, words: list[str], says: str
+) -> None:
+    (tmp_path / "broken.py").write_text("name = nobody\n")
+    (tmp_path / "number.py").write_text("name = 3\n")
+    words = [word.format(tmp_path) for word in words]
+    output = tmp_path / "t.csv"
+    outcome = cli("observe", watched / "rig.json", watched / "recording", "-o", output, *words)
+    assert outcome.code == 1
+    assert says in outcome.err
+    assert not output.exists()
 
 
 def test_videos_with_their_background(cli: Cli, watched: Path, tmp_path: Path) -> None:

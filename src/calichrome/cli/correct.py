@@ -50,7 +50,7 @@ class Correct(Command):
     videos: VideoSettings = field(default_factory=VideoSettings)
     """How videos are encoded."""
     force: Flag = False
-    """Replace the output folder."""
+    """Write into an existing folder; files of the same names are replaced."""
 
     def run(self) -> int:
         """Correct and report."""

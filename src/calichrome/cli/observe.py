@@ -15,6 +15,7 @@ from calichrome.pipeline.detect import Progress as ProgressCall
 from calichrome.pipeline.observe import Observation, ObserveSettings, observe
 from calichrome.pipeline.observe_pictures import (
     Classifier,
+    check_plot,
     classify,
     load_classifier,
     write_overlay,
@@ -72,6 +73,8 @@ class Observe(Command):
                 check_output(path, force=self.force)
         if self.overlay is not None:
             check_folder(self.overlay, force=self.force, inputs=[self.recording])
+        if self.plot is not None:
+            check_plot(self.plot)
         classifier = None if self.classify is None else load_classifier(self.classify)
         if self.fps is not None and not self.fps > 0:
             raise RecordingError(f"--fps {self.fps}: give a number above 0")
@@ -92,11 +95,13 @@ class Observe(Command):
         self.show(
             observe_summary(
                 *found,
+                n_born=seen.n_born,
+                n_lost=seen.n_lost,
                 cameras=seen.watch.cameras,
                 n_frames=len(seen.watch.times_s),
                 time_unit_s=unit_s,
             ),
-            observe_to_json(*found, time_unit_s=unit_s),
+            observe_to_json(*found, n_born=seen.n_born, n_lost=seen.n_lost, time_unit_s=unit_s),
         )
         return 3 if worst_severity(seen.findings) == "critical" else 0
 

@@ -40,7 +40,7 @@ class Record(Command):
     output: Annotated[Path, Output]
     """Folder to write; it must not exist or be empty."""
     every: str = "2s"
-    """Time between the shots."""
+    """Time from the end of one shot to the next."""
     key: Flag = False
     """Wait for Enter before each shot instead; q and Enter ends."""
     count: int | None = None
@@ -118,12 +118,11 @@ class Record(Command):
         return devices
 
     def _after(self, every_s: float) -> Callable[[int], bool]:
-        began = time.monotonic()
+        """Wait from the end of one shot to the next; cameras may take long to lock and to grab."""
         notice_s = min(_STILL_S, every_s) if self.beep else 0.0
 
-        def ready(number: int) -> bool:
-            due = began + (number + 1) * every_s
-            time.sleep(max(0.0, due - notice_s - time.monotonic()))
+        def ready(number: int) -> bool:  # noqa: ARG001 (called with the number of the shot)
+            time.sleep(every_s - notice_s)
             self._sound()
             time.sleep(notice_s)
             return True

@@ -3,7 +3,7 @@
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -53,7 +53,7 @@ def writing_file(path: Path, *, force: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def writing_folder(
-    path: Path, *, force: bool = False, inputs: Iterable[Path] = ()
+    path: Path, *, force: bool = False, inputs: Iterable[Path] = (), stale: Collection[str] = ()
 ) -> Iterator[Path]:
     """Yield a temporary folder beside `path`; put it in place on success.
 
@@ -67,6 +67,9 @@ def writing_folder(
         Replace an existing one.
     inputs
         What the output is made from: a folder that is or holds one of them is never replaced.
+    stale
+        Patterns of files that an earlier run may have left there and that would speak of what is
+        there no longer; they go.
 
     Raises
     ------
@@ -85,7 +88,7 @@ def writing_folder(
         os.umask(umask)
         temporary.chmod(0o777 & ~umask)
         if path.exists():
-            _move_into(temporary, path)
+            _move_into(temporary, path, stale)
         else:
             temporary.replace(path)
     except OSError as error:
@@ -94,8 +97,11 @@ def writing_folder(
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _move_into(new: Path, existing: Path) -> None:
+def _move_into(new: Path, existing: Path, stale: Collection[str]) -> None:
     """Put every file in its place; what else the existing folder holds is not ours to remove."""
+    for pattern in stale:
+        for item in existing.glob(pattern):
+            item.unlink()
     for item in sorted(new.rglob("*")):
         place = existing / item.relative_to(new)
         if item.is_dir():

@@ -11,6 +11,7 @@ from calichrome.imaging.frame_choice import MAX_FRAMES, choose_frames
 from calichrome.imaging.header import Unreadable
 from calichrome.imaging.image import Image, Pixels
 from calichrome.imaging.recording import Recording, open_recording, picture_files
+from calichrome.imaging.recording_times import copy_timestamps
 from calichrome.imaging.recording_videos import video_files
 from calichrome.imaging.video import VIDEO_SUFFIXES, Video, open_video, read_frame
 from calichrome.imaging.video_stream import StreamFormat, TimedFrame, stream_format, timed_frames
@@ -34,6 +35,7 @@ __all__ = [
     "VideoSettings",
     "VideoWriter",
     "choose_frames",
+    "copy_timestamps",
     "open_recording",
     "open_video",
     "picture_files",

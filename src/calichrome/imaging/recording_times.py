@@ -10,7 +10,13 @@ from pathlib import Path
 
 from calichrome.errors import RecordingError
 
-__all__ = ["FrameTable", "plain_frames", "read_picture_times", "read_timestamps"]
+__all__ = [
+    "FrameTable",
+    "copy_timestamps",
+    "plain_frames",
+    "read_picture_times",
+    "read_timestamps",
+]
 
 _OURS = ("camera", "frame", "time_s")
 _CALISCOPE = ("sync_index", "cam_id", "frame_index", "frame_time")
@@ -45,7 +51,9 @@ def plain_frames(n_frames: Mapping[str, int]) -> FrameTable:
     return FrameTable(numbers=numbers)
 
 
-def read_timestamps(path: Path, n_frames: Mapping[str, int]) -> FrameTable:
+def read_timestamps(
+    path: Path, n_frames: Mapping[str, int], *, others: Collection[str] = ()
+) -> FrameTable:
     """Read timestamps.csv beside videos.
 
     Parameters
@@ -56,6 +64,8 @@ def read_timestamps(path: Path, n_frames: Mapping[str, int]) -> FrameTable:
         the n-th frame of its video and equal sync_index is one instant.
     n_frames
         camera id -> number of frames of its video.
+    others
+        Cameras of the recording that are not asked for; their rows are left out.
 
     Raises
     ------
@@ -66,7 +76,8 @@ def read_timestamps(path: Path, n_frames: Mapping[str, int]) -> FrameTable:
     if set(_CALISCOPE) <= set(columns):
         return _from_caliscope(path, rows, n_frames)
     if set(_OURS) <= set(columns):
-        return _from_ours(path, rows, n_frames)
+        asked = [(line, row) for line, row in rows if row["camera"] not in others]
+        return _from_ours(path, asked, n_frames)
     raise RecordingError(
         f"{path}: has the columns {', '.join(columns) or '(none)'}; wanted are {', '.join(_OURS)}, "
         f"or caliscope's {', '.join(_CALISCOPE)}"
@@ -104,6 +115,34 @@ def read_picture_times(
         if row["frame"] in frames.get(row["camera"], ()):
             times[row["camera"]][row["frame"]] = _number(path, line, row, "time_s")
     return dict(times)
+
+
+def copy_timestamps(path: Path, output: Path, names: Mapping[str, str]) -> None:
+    """Write the rows of some cameras under new names.
+
+    Parameters
+    ----------
+    path, output
+        timestamps.csv of a recording, and of what is made of it.
+    names
+        Camera id in the recording -> in the output. Rows of other cameras are left out.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read.
+    """
+    columns, rows = _read(path)
+    column = _OURS[0] if _OURS[0] in columns else _CALISCOPE[1]
+    if column == _CALISCOPE[1]:
+        cam_ids = _cameras_of({row[column] for _, row in rows}, tuple(names), path)
+        names = {cam_id: names[camera] for cam_id, camera in cam_ids.items()}
+    with output.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(
+            {**row, column: names[row[column]]} for _, row in rows if row[column] in names
+        )
 
 
 def _read(path: Path) -> tuple[Sequence[str], list[tuple[int, Row]]]:

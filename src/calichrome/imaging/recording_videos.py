@@ -80,7 +80,11 @@ def open_videos(
     }
     n_frames = {camera: video.n_frames for camera, video in videos.items()}
     stamps = folder / "timestamps.csv"
-    table = read_timestamps(stamps, n_frames) if stamps.is_file() else plain_frames(n_frames)
+    table = (
+        read_timestamps(stamps, n_frames, others=by_camera.keys() - videos.keys())
+        if stamps.is_file()
+        else plain_frames(n_frames)
+    )
     return VideoFrames(videos=videos, table=table)
 
 

@@ -1,6 +1,5 @@
 """Whole recordings corrected: pictures and videos."""
 
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from calichrome.apply import Kernel, OutputSpace
 from calichrome.core.files import check_folder, writing_folder
 from calichrome.errors import RecordingError
 from calichrome.geometry.undistortion import Pinhole
-from calichrome.imaging import Pixels, Unreadable, VideoSettings, write_picture
+from calichrome.imaging import Pixels, Unreadable, VideoSettings, copy_timestamps, write_picture
 from calichrome.pipeline.correct_inputs import Picture, correct_inputs
 from calichrome.pipeline.correct_video import (
     VideoOutcome,
@@ -73,7 +72,7 @@ def correct(
     output
         Folder for ``<camera>/<frame>.<ext>`` (8 bit gives PNG, JPEG gives JPEG, 16 bit TIFF) and
         ``<camera>.mp4``; cameras.json if the geometry changes, timestamps.csv if the recording has
-        one for its videos.
+        one. Frames of the empty scene (``background...``) are left out.
     camera
         Which camera took a single file or a flat folder.
     pattern
@@ -85,7 +84,7 @@ def correct(
     settings
         How videos are encoded.
     force
-        Replace `output`.
+        Write into an existing `output`: what is written again is replaced, the rest stays.
     progress
         Called after each picture or frame.
 
@@ -117,13 +116,14 @@ def correct(
         )
         for name, video in inputs.videos.items()
     }
-    with writing_folder(output, force=force, inputs=[source]) as folder:
+    stale = ["cameras.json", "timestamps.csv", *(f"{name}.partial.mp4" for name in jobs)]
+    with writing_folder(output, force=force, inputs=[source], stale=stale) as folder:
+        if inputs.timestamps is not None:
+            copy_timestamps(inputs.timestamps, folder / "timestamps.csv", inputs.names)
         paths, skipped = _correct_pictures(rig, inputs.pictures, correctors, folder, progress)
         if pinholes:
             (folder / "cameras.json").write_text(cameras_json(pinholes), encoding="utf-8")
         outcomes = correct_videos(jobs, folder, "correcting", progress)
-        if outcomes and inputs.timestamps is not None:
-            shutil.copyfile(inputs.timestamps, folder / "timestamps.csv")
     check_complete(outcomes, jobs, output)
     names = [path.relative_to(folder) for path in paths]
     names += [Path(outcome.name) for outcome in outcomes.values()]

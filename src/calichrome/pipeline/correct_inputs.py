@@ -1,7 +1,7 @@
 """What is to be corrected: pictures and videos, and which camera took them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from calichrome.errors import RecordingError
@@ -42,11 +42,14 @@ class CorrectInputs:
         By camera.
     timestamps
         timestamps.csv of the recording, if it has one.
+    names
+        Camera of the recording -> camera of the rig.
     """
 
     pictures: tuple[Picture, ...] = ()
     videos: Mapping[str, Video]
     timestamps: Path | None = None
+    names: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -98,6 +101,7 @@ def correct_inputs(
         ),
         videos={names[own]: video for own, video in videos.items()},
         timestamps=stamps if stamps.is_file() else None,
+        names=names,
     )
 
 

@@ -107,8 +107,8 @@ class Observation:
         Sizes of the errors that the tracks tell.
     light : camera -> float
         Factor of the light in which it sees objects; colours are given without it.
-    n_lost
-        Objects that were lost before the end.
+    n_born, n_lost
+        Tracks that begin after the first frame, and tracks that end before the last.
     findings
         Of the recording and of the rig.
     """
@@ -117,6 +117,7 @@ class Observation:
     trajectories: tuple[Trajectory, ...]
     errors: ErrorSizes
     light: Mapping[str, float]
+    n_born: int
     n_lost: int
     findings: tuple[Finding, ...]
 
@@ -211,13 +212,14 @@ def observe(
         covariance,
         scale_sigma=_SCALE_SIGMA if unmeasured else 0.0,
     )
-    last = list(watch.times_s)[-1]
+    frames = list(watch.times_s)
     return Observation(
         watch=watch,
         trajectories=trajectories,
         errors=errors,
         light=light_levels(tracker.tracks),
-        n_lost=sum(item.track.steps[-1].frame != last for item in trajectories),
+        n_born=sum(item.track.steps[0].frame != frames[0] for item in trajectories),
+        n_lost=sum(item.track.steps[-1].frame != frames[-1] for item in trajectories),
         findings=(
             *(item for item in rig.findings if item.severity == "critical"),
             *watch.findings,

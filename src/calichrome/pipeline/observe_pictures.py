@@ -22,7 +22,7 @@ from calichrome.pipeline.watch import Viewer
 from calichrome.report.figures import tracks_figure
 from calichrome.tracking import Mark, draw_marks
 
-__all__ = ["Classifier", "classify", "load_classifier", "write_overlay", "write_plot"]
+__all__ = ["Classifier", "check_plot", "classify", "load_classifier", "write_overlay", "write_plot"]
 
 Classifier = Callable[[UInt8Array, FloatArray, FloatArray], str]
 """(crop (h, w, 3) sRGB, Lab (3,), size (3,) metres) -> label."""
@@ -46,11 +46,13 @@ def load_classifier(text: str) -> Classifier:
     try:
         variables = run_path(place) if place.endswith(".py") else vars(import_module(place))
         function: Classifier = variables[name]
-    except (ImportError, OSError, SyntaxError, KeyError) as error:
+    except Exception as error:
         raise CalichromeError(
-            f"--classify {text}: cannot be imported ({error}); give a function of three arguments "
-            f"(crop, Lab, size) that returns a label"
+            f"--classify {text}: cannot be imported ({type(error).__name__}: {error}); give a "
+            f"function of three arguments (crop, Lab, size) that returns a label"
         ) from error
+    if not callable(function):
+        raise CalichromeError(f"--classify {text}: {name} is no function of (crop, Lab, size)")
     return function
 
 
@@ -184,13 +186,31 @@ def _drawn(
         yield index, draw_marks(picture, marks)
 
 
+def check_plot(path: Path) -> None:
+    """Raise now if `write_plot` could not draw later, after long work.
+
+    Raises
+    ------
+    CalichromeError
+        If matplotlib is not installed, or draws no such file.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise CalichromeError(
+            'figures need matplotlib; add it with pip install "calichrome[report]", or leave out '
+            "--plot"
+        ) from error
+    known = sorted(Figure().canvas.get_supported_filetypes())
+    if path.suffix.lower().removeprefix(".") not in known:
+        raise OutputError(f"{path}: --plot draws .png, .pdf or .svg; choose one of these")
+
+
 def write_plot(observation: Observation, rows: Sequence[Row], path: Path, *, force: bool) -> None:
     """Draw the tracks in space.
 
     Raises
     ------
-    CalichromeError
-        If matplotlib is not installed.
     OutputError
         If the file cannot be written.
     """
@@ -209,17 +229,7 @@ def write_plot(observation: Observation, rows: Sequence[Row], path: Path, *, for
         camera: rig.world_from_ref.apply(rig.cameras[camera].cam_from_ref.inverse().trans_m)
         for camera in observation.watch.cameras
     }
-    try:
-        figure = tracks_figure(
-            {track: np.array(own) for track, own in paths.items()}, colours, centres
-        )
-    except ImportError as error:
-        raise CalichromeError(
-            'figures need matplotlib; add it with pip install "calichrome[report]", or leave out '
-            "--plot"
-        ) from error
+    points = {track: np.array(own) for track, own in paths.items()}
+    figure = tracks_figure(points, colours, centres)
     with writing_file(path, force=force) as temporary:
-        try:
-            figure.savefig(temporary, dpi=150)
-        except ValueError as error:
-            raise OutputError(f"{path}: {error}; use .png, .pdf or .svg") from error
+        figure.savefig(temporary, dpi=150)

@@ -1,7 +1,6 @@
 """The pictures or videos of two cameras, rectified."""
 
 import json
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from calichrome.imaging import (
     Recording,
     Unreadable,
     VideoSettings,
+    copy_timestamps,
     open_recording,
     read_frame,
     write_picture,
@@ -112,7 +112,11 @@ def rectify(  # noqa: PLR0913 (the options of a command)
         for name, video in recording.videos.videos.items()
     }
     frames = [frame for frame in recording.files[pair[0]] if frame in recording.files[pair[1]]]
-    with writing_folder(output, force=force, inputs=[source]) as folder:
+    stale = ["timestamps.csv", *(f"{name}.partial.mp4" for name in jobs)]
+    with writing_folder(output, force=force, inputs=[source], stale=stale) as folder:
+        if (recording.folder / "timestamps.csv").is_file():
+            names = {name: name for name in pair}
+            copy_timestamps(recording.folder / "timestamps.csv", folder / "timestamps.csv", names)
         text = json.dumps(_rectification_json(rectification, pair), indent=1)
         (folder / "rectification.json").write_text(text + "\n", encoding="utf-8")
         for done, frame in enumerate(() if jobs else frames):
@@ -133,8 +137,6 @@ def rectify(  # noqa: PLR0913 (the options of a command)
             place = folder / sheet.resolve().relative_to(output.resolve()) if inside else sheet
             write_picture(place, drawn, force=force)
         outcomes = correct_videos(jobs, folder, "rectifying", progress)
-        if jobs and (recording.folder / "timestamps.csv").is_file():
-            shutil.copyfile(recording.folder / "timestamps.csv", folder / "timestamps.csv")
     check_complete(outcomes, jobs, output)
     return Rectified(rectification=rectification, videos=outcomes)
 

@@ -19,6 +19,8 @@ def observe_summary(
     errors: ErrorSizes,
     findings: Sequence[Finding],
     *,
+    n_born: int,
+    n_lost: int,
     cameras: Sequence[str],
     n_frames: int,
     time_unit_s: float,
@@ -31,6 +33,8 @@ def observe_summary(
         What was found.
     findings
         What to doubt.
+    n_born, n_lost
+        Tracks that begin after the first frame, or end before the last.
     cameras, n_frames
         That were looked at.
     time_unit_s
@@ -38,6 +42,8 @@ def observe_summary(
     """
     objects = f"{len(trajectories)} object{'' if len(trajectories) == 1 else 's'}"
     lines = [f"{objects} in {n_frames} frames of {len(cameras)} cameras ({', '.join(cameras)})"]
+    if n_born or n_lost:
+        lines.append(f"{n_born} tracks begin after the first frame, {n_lost} end before the last")
     if trajectories:
         lasting = f"lasting errors {errors.silhouette:.2g} times"
         lines += [f"Centres in pictures: noise {errors.noise:.2g} times the stated, {lasting}", ""]
@@ -71,11 +77,15 @@ def observe_to_json(
     errors: ErrorSizes,
     findings: Sequence[Finding],
     *,
+    n_born: int,
+    n_lost: int,
     time_unit_s: float,
 ) -> dict[str, Any]:
     """Return the same for programs."""
     return {
         "tracks": [_track_to_json(item, time_unit_s) for item in trajectories],
+        "born": n_born,
+        "lost": n_lost,
         "errors": {
             "noise": errors.noise,
             "silhouette": errors.silhouette,

@@ -11,6 +11,7 @@ from calichrome.apply import OutputSpace
 from calichrome.errors import CalichromeError, OutputError, RecordingError
 from calichrome.imaging import Pixels, write_picture
 from calichrome.pipeline.correct import correct
+from calichrome.pipeline.new_view import NewView
 from calichrome.pipeline.rectify import rectify
 from calichrome.rig import Rig
 
@@ -89,6 +90,21 @@ def test_recording_is_never_replaced(rig: Rig, tmp_path: Path) -> None:
             correct(rig, tmp_path / "in", output, force=True)
     inside = correct(rig, tmp_path / "in", tmp_path / "in" / "corrected")
     assert inside.written[0].is_file()
+
+
+def test_nothing_speaks_of_pictures_that_are_gone(rig: Rig, tmp_path: Path) -> None:
+    for camera in ("left", "right"):
+        write_picture(tmp_path / "in" / camera / "1.png", _filled(90, np.uint8))
+    stamps = tmp_path / "in" / "timestamps.csv"
+    stamps.write_text("camera,frame,time_s\nleft,1,0.5\nright,1,0.5\n")
+    out = tmp_path / "out"
+    correct(rig, tmp_path / "in", out, view=NewView(undistort=True))
+    assert (out / "cameras.json").is_file()
+    assert (out / "timestamps.csv").read_text() == stamps.read_text()
+    (out / "notes.txt").write_text("mine")
+    stamps.unlink()
+    correct(rig, tmp_path / "in", out, force=True)
+    assert {path.name for path in out.iterdir()} == {"left", "right", "notes.txt"}
 
 
 def test_rectified_float_pictures_are_not_black(rig: Rig, tmp_path: Path) -> None:

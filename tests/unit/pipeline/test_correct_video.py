@@ -26,6 +26,7 @@ from calichrome.imaging import (
     StreamFormat,
     VideoSettings,
     VideoWriter,
+    open_recording,
     open_video,
     pyav,
     read_frame,
@@ -196,6 +197,23 @@ def test_whose_video_it_is(rig: Rig, tmp_path: Path) -> None:
     for source in (path, path.parent):
         out = tmp_path / f"out-{source.stem}"
         assert correct(rig, source, out, camera="right").written == (out / "right.mp4",)
+
+
+def test_times_follow_their_camera(rig: Rig, tmp_path: Path) -> None:
+    """The rows of a corrected video bear its new name, and those of other cameras stay behind."""
+    _write(tmp_path / "in" / "clip.mp4", _patches())
+    stamps = tmp_path / "in" / "timestamps.csv"
+    stamps.write_text("camera,frame,time_s\nclip,3,0.1\n")
+    correct(rig, tmp_path / "in", tmp_path / "out", camera="right")
+    assert (tmp_path / "out" / stamps.name).read_text() == "camera,frame,time_s\nright,3,0.1\n"
+    assert open_recording(tmp_path / "out").cameras == ("right",)
+    for name in ("left", "right", "third"):
+        _write(tmp_path / "three" / f"{name}.mp4", _patches())
+    table = "camera,frame,time_s\nleft,3,0.1\nthird,3,0.2\nright,3,0.3\n"
+    (tmp_path / "three" / stamps.name).write_text(table)
+    rectify(rig, ("left", "right"), tmp_path / "three", tmp_path / "pair")
+    text = (tmp_path / "pair" / stamps.name).read_text()
+    assert text == "camera,frame,time_s\nleft,3,0.1\nright,3,0.3\n"
 
 
 def test_rectified_videos(rig: Rig, tmp_path: Path) -> None:
