@@ -22,6 +22,7 @@ _HOLDS = {
     ".tif": (np.uint8, np.uint16, np.float32),
     ".tiff": (np.uint8, np.uint16, np.float32),
 }
+_UNTAGGED = (".tif", ".tiff")  # OpenCV writes no profile into them
 _MAX_BYTES = 4_000_000_000
 
 
@@ -107,7 +108,12 @@ def _to_rgb(decoded: Pixels) -> Pixels:
 
 
 def write_picture(
-    path: Path, pixels: Pixels, *, jpeg_quality: int = 95, force: bool = False
+    path: Path,
+    pixels: Pixels,
+    *,
+    jpeg_quality: int = 95,
+    profile: bytes | None = None,
+    force: bool = False,
 ) -> None:
     """Write a picture whole or not at all; the format follows the suffix.
 
@@ -118,6 +124,8 @@ def write_picture(
     pixels : (H, W, 3) RGB or (H, W) grey
     jpeg_quality
         0..100.
+    profile
+        ICC profile of the colours, which PNG and JPEG carry; None: nothing is said.
     force
         Replace an existing file.
 
@@ -140,7 +148,13 @@ def write_picture(
             cv2.IMWRITE_JPEG_QUALITY, jpeg_quality,
             cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
         ]  # fmt: skip
-    ok, content = cv2.imencode(suffix, np.ascontiguousarray(ordered), options)
+    ordered = np.ascontiguousarray(ordered)
+    if profile is None or suffix in _UNTAGGED:
+        ok, content = cv2.imencode(suffix, ordered, options)
+    else:
+        chunk = np.frombuffer(profile, np.uint8)
+        kinds = [cv2.IMAGE_METADATA_ICCP]
+        ok, content = cv2.imencodeWithMetadata(suffix, ordered, kinds, [chunk], options)
     if not ok:
         raise OutputError(f"{path} cannot be encoded; use .png, .jpg or .tif")
     with writing_file(path, force=force) as temporary, temporary.open("wb") as stream:

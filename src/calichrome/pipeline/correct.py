@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calichrome.apply import Kernel, OutputSpace
+from calichrome.colorimetry.icc_profile import icc_profile
 from calichrome.core.files import check_folder, writing_folder
 from calichrome.errors import RecordingError
 from calichrome.geometry.undistortion import Pinhole
@@ -120,7 +121,9 @@ def correct(
     with writing_folder(output, force=force, inputs=[source], stale=stale) as folder:
         if inputs.timestamps is not None:
             copy_timestamps(inputs.timestamps, folder / "timestamps.csv", inputs.names)
-        paths, skipped = _correct_pictures(rig, inputs.pictures, correctors, folder, progress)
+        paths, skipped = _correct_pictures(
+            rig, inputs.pictures, correctors, space, folder, progress
+        )
         if pinholes:
             (folder / "cameras.json").write_text(cameras_json(pinholes), encoding="utf-8")
         outcomes = correct_videos(jobs, folder, "correcting", progress)
@@ -136,6 +139,7 @@ def _correct_pictures(
     rig: Rig,
     pictures: Sequence[Picture],
     correctors: Mapping[str, CameraCorrectors],
+    space: OutputSpace,
     folder: Path,
     progress: Progress,
 ) -> tuple[list[Path], list[tuple[Path, str]]]:
@@ -151,7 +155,7 @@ def _correct_pictures(
             continue
         corrected = correctors[name].apply(image, path)
         written.append(folder / name / f"{picture.frame}{_suffix(path, corrected)}")
-        write_picture(written[-1], corrected)
+        write_picture(written[-1], corrected, profile=icc_profile(space))
     if pictures:
         progress("correcting", len(pictures), len(pictures))
     if skipped and not written:

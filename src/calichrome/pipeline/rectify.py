@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calichrome.apply import OutputSpace, rectified_sheet, rectifying_map
+from calichrome.colorimetry.icc_profile import icc_profile
 from calichrome.core.files import check_folder, check_output, writing_folder
 from calichrome.errors import OutputError, RecordingError
 from calichrome.geometry.rectification import Rectification
@@ -122,7 +123,11 @@ def rectify(  # noqa: PLR0913 (the options of a command)
         for done, frame in enumerate(() if jobs else frames):
             for name in pair:
                 picture = _rectified(recording, cameras[name], correctors[name], name, frame)
-                write_picture(folder / name / f"{frame}.png", _for_png(picture))
+                write_picture(
+                    folder / name / f"{frame}.png",
+                    _for_png(picture),
+                    profile=icc_profile(spaces[name]),
+                )
             progress("rectifying", done + 1, len(frames))
         if sheet is not None:
             first, second = (

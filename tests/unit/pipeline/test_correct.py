@@ -6,8 +6,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image as PilImage
 
 from calichrome.apply import OutputSpace
+from calichrome.colorimetry.icc_profile import icc_profile
 from calichrome.errors import CalichromeError, OutputError, RecordingError
 from calichrome.imaging import Pixels, write_picture
 from calichrome.pipeline.correct import correct
@@ -46,6 +48,15 @@ def test_formats_of_the_contract(
         tmp_path / "out" / camera / written for camera in ("left", "right")
     ]
     assert all(path.is_file() for path in done.written)
+
+
+@pytest.mark.parametrize("name", ["1.png", "1.jpg"])
+@pytest.mark.parametrize("space", ["srgb", "display-p3", "none"])
+def test_pictures_name_their_space(rig: Rig, tmp_path: Path, name: str, space: OutputSpace) -> None:
+    write_picture(tmp_path / "in" / "left" / name, _filled(100, np.uint8))
+    (path,) = correct(rig, tmp_path / "in", tmp_path / "out", space=space).written
+    with PilImage.open(path) as picture:
+        assert picture.info.get("icc_profile") == icc_profile(space)
 
 
 def test_bits_of_recording_toml(rig: Rig, tmp_path: Path) -> None:
