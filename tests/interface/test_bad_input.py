@@ -788,3 +788,29 @@ def test_wrong_usage(cli: Cli, words: list[str]) -> None:
     assert outcome.err
     assert "Traceback" not in outcome.err
     assert outcome.out == ""
+
+
+# --- rigs that are not to be trusted --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("doubted", [True, False])
+def test_what_is_made_with_a_doubted_rig(
+    cli: Cli, small: Small, simulated_rig: Path, tmp_path: Path, *, doubted: bool
+) -> None:
+    """It is made, and said not to be trusted."""
+    described = json.loads(simulated_rig.read_text())
+    if doubted:
+        finding = {"code": "view_angles", "severity": "critical", "text": "All boards parallel."}
+        described["findings"].append(finding)
+        described["trustworthy"] = False
+    rig, recording = tmp_path / "rig.json", small(1)
+    rig.write_text(json.dumps(described))
+    for words in (
+        ["correct", rig, recording, "-o", tmp_path / "out"],
+        ["rectify", rig, recording, "--pair", "cam0,cam1", "-o", tmp_path / "pair"],
+        ["export", rig, "--to", "opencv", "-o", tmp_path / "opencv"],
+    ):
+        outcome = cli(*words)
+        assert outcome.code == (3 if doubted else 0), outcome.err
+        assert ("All boards parallel" in outcome.err) == doubted
+    assert (tmp_path / "out" / "cam0").is_dir()

@@ -60,9 +60,10 @@ class Correct(Command):
             keep_size=self.keep_size,
             new_camera=self.new_camera,
         )
+        rig = load_rig(self.rig)
         with self.progress() as progress:
             result = correct(
-                load_rig(self.rig),
+                rig,
                 self.source,
                 self.output,
                 camera=self.camera,
@@ -94,4 +95,4 @@ class Correct(Command):
                 "kernel": result.kernel,
             },
         )
-        return 0
+        return self.verdict(rig)

@@ -68,4 +68,4 @@ class Export(Command):
             ],
         }
         self.show("\n".join(lines), data)
-        return 0
+        return self.verdict(rig)

@@ -50,9 +50,10 @@ class Rectify(Command):
         names = names_from(self.pair)
         if len(names) != 2:
             raise RecordingError(f"--pair wants two cameras, like left,right; got {len(names)}")
+        rig = load_rig(self.rig)
         with self.progress() as progress:
             done = rectify(
-                load_rig(self.rig),
+                rig,
                 (names[0], names[1]),
                 self.source,
                 self.output,
@@ -87,4 +88,4 @@ class Rectify(Command):
                 "videos": video_json(done.videos),
             },
         )
-        return 0
+        return self.verdict(rig)

@@ -23,6 +23,8 @@ from rich.text import Text
 from calichrome.core.units import parse_lengths
 from calichrome.errors import TargetError
 from calichrome.pipeline.detect import Progress as ProgressCall
+from calichrome.report.text import finding_lines
+from calichrome.rig import Rig
 
 __all__ = ["Command", "Flag", "Output", "names_from", "square_size"]
 
@@ -44,6 +46,16 @@ class Command:
     def show(self, text: str, data: dict[str, Any]) -> None:
         """Print the result for a person, or with --json for a program."""
         print(json.dumps(data, indent=1) if self.json else text)
+
+    def verdict(self, rig: Rig) -> int:
+        """Return the exit code of work that was done with a rig: 3 if it is not to be trusted.
+
+        Why not is said on stderr, so that results on stdout stay as they are.
+        """
+        doubts = [item for item in rig.findings if item.severity == "critical"]
+        for line in finding_lines(doubts):
+            print(line, file=sys.stderr)
+        return 3 if doubts else 0
 
     @contextmanager
     def progress(self) -> Iterator[ProgressCall]:

@@ -69,7 +69,7 @@ class Triangulate(Command):
         else:
             csv.writer(sys.stdout, lineterminator="\n").writerows(point_table(found))
             print(text, file=sys.stderr)
-        return 0
+        return self.verdict(rig)
 
 
 def _lines(found: LocatedPoints) -> Iterator[str]:

@@ -149,10 +149,10 @@ def select_together(
     Notes
     -----
     Against a table that is off a matrix seems as good as what a sensor needs, to each camera in its
-    own way. So cameras that share what the discs look like choose a second time, against that. With
-    tables wrong by sd 3 it brings three sensors nearer to each other by a sixth and to the truth by
-    a tenth, with true ones it changes nothing (Munsell chips). Not a third time: then models are
-    judged by colours that they made themselves.
+    own way. So cameras that share what the discs look like choose a second time, among the stable
+    models, against that. With tables wrong by sd 3 it brings three sensors nearer to each other by
+    a sixth and to the truth by a tenth, with true ones it changes nothing (Munsell chips). Not a
+    third time: then models are judged by colours that they made themselves.
     """
     chosen = {
         camera: select_model(own, names, mean_error=mean_error) for camera, own in pairs.items()
@@ -166,12 +166,16 @@ def select_together(
         first, nominal_xyz, nominal_cov, mean_error=mean_error,
     )  # fmt: skip
     for camera in first:
-        own = pairs[camera]
+        own, tried = pairs[camera], chosen[camera]
+        assert isinstance(tried, Selection)  # noqa: S101 (it is in `first`)
         exact = np.zeros((len(own), 3, 3))
         seen = own.with_targets(together.latent_xyz[colours[camera]], exact)
-        again = select_model(seen, names, mean_error=mean_error)
+        stable = [item.name for item in tried.candidates if item.model and not _faults(item)]
+        again = select_model(seen, stable, mean_error=mean_error)
         if isinstance(again, Selection):
-            chosen[camera] = again
+            latest = {item.name: item for item in again.candidates}
+            candidates = tuple(latest.get(item.name, item) for item in tried.candidates)
+            chosen[camera] = Selection(best=again.best, candidates=candidates)
     return chosen
 
 
