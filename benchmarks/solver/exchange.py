@@ -11,11 +11,24 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Geometry", "Meter", "Problem", "Solution", "Task", "engine_arguments", "measured"]
+__all__ = [
+    "WARM_UPS",
+    "Geometry",
+    "Meter",
+    "Problem",
+    "Solution",
+    "Task",
+    "engine_arguments",
+    "measured",
+]
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 _T = TypeVar("_T")
+
+WARM_UPS = 5
+"""How often an engine solves the small problem before its solve is timed: a call of some
+milliseconds still gets shorter from the second time to the fifth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

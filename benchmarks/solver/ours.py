@@ -1,7 +1,7 @@
 """calichrome's joint solve on a problem: `python -m benchmarks.solver.ours`."""
 
 import numpy as np
-from benchmarks.solver.exchange import Problem, Solution, engine_arguments, measured
+from benchmarks.solver.exchange import WARM_UPS, Problem, Solution, engine_arguments, measured
 
 from calichrome.core.arrays import FloatArray, IntArray
 from calichrome.geometry.bundle import (
@@ -26,11 +26,13 @@ def main() -> None:
     """Solve a small problem, so that first calls cost nothing, then the problem."""
     task = engine_arguments()
     if task.robust:
-        _robust(task.warm_up, *_spoiled(task.warm_up))
+        for _ in range(WARM_UPS):
+            _robust(task.warm_up, *_spoiled(task.warm_up))
         pixels, whitening = _spoiled(task.problem)
         result, meter = measured(lambda: _robust(task.problem, pixels, whitening))
     else:
-        _covariance(_plain(task.warm_up))
+        for _ in range(WARM_UPS):
+            _covariance(_plain(task.warm_up))
         result, meter = measured(lambda: _plain(task.problem))
     covariance, covariance_cpu_s = np.empty((0, 0)), np.nan
     if task.with_details:

@@ -56,6 +56,8 @@ def test_what_cannot_be_exported_is_refused(
 ) -> None:
     start = ["export", simulated_rig, "-o", tmp_path / "out"]
     refused(*start, "--to", "ros", "--pair", "cam0", says=["--pair wants two"])
+    both = ["--pair", "cam0,cam1", "--cameras", "cam0"]
+    refused(*start, "--to", "ros", *both, says=["leave out --cameras"])
     refused(*start, "--to", "ros", "--pair", "cam0,top", says=["no camera top"])
     refused(*start, "--to", "cube", "--pair", "cam0,cam1", says=["opencv and ros"])
     refused(*start, "--to", "opencv", "--cameras", "top", says=["no camera top", "cam0, cam1"])

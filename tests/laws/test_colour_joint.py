@@ -51,6 +51,24 @@ class _Chart:
             rgb, self.xyz, white_rgb=white_rgb, white_xyz=white_xyz, xyz_cov=self.cov
         )
 
+    def printed(
+        self,
+        target: Target,
+        seed: int,
+        see: See,
+        sensors: Mapping[str, FloatArray],
+        rng: np.random.Generator,
+    ) -> dict[str, ColourPairs]:
+        """Show a print that is off by `_PRINT_SD` to cameras."""
+        white = np.ones((1, len(WAVELENGTHS_NM)))
+        white_xyz = reflectance_to_xyz_d65(white)[0]
+        discs = printed_palette(target, _PRINT_SD, seed).discs[self.rows]
+        pairs = {}
+        for camera in sensors:
+            rgb = see(camera, discs) * rng.normal(1, _NOISE, (len(discs), 3))
+            pairs[camera] = self.pairs(rgb, see(camera, white)[0], white_xyz)
+        return pairs
+
     def together(
         self, pairs: Mapping[str, ColourPairs], model: str, *, share: bool = True
     ) -> JointColour:
@@ -148,16 +166,11 @@ def test_sharing_makes_cameras_agree_on_other_colours(
     standard_target: Target, munsell: FloatArray, rng: np.random.Generator,
 ) -> None:  # fmt: skip
     """Prints wrong by sd 3: at least 4 % nearer to each other, at most 2 % farther from truth."""
-    white = np.ones((1, len(WAVELENGTHS_NM)))
-    white_xyz, truth = reflectance_to_xyz_d65(white)[0], reflectance_to_xyz_d65(munsell)
+    truth = reflectance_to_xyz_d65(munsell)
     between: dict[bool, list[float]] = {True: [], False: []}
     absolute: dict[bool, list[float]] = {True: [], False: []}
     for seed in range(20):
-        discs = printed_palette(standard_target, _PRINT_SD, seed).discs[chart.rows]
-        pairs = {}
-        for camera in sensors:
-            rgb = see(camera, discs) * rng.normal(1, _NOISE, (len(discs), 3))
-            pairs[camera] = chart.pairs(rgb, see(camera, white)[0], white_xyz)
+        pairs = chart.printed(standard_target, seed, see, sensors, rng)
         for share in (True, False):
             models = chart.together(pairs, model, share=share).models
             seen = {camera: models[camera].apply(see(camera, munsell)) for camera in sensors}
@@ -189,15 +202,9 @@ def test_a_second_choice_brings_cameras_nearer(
     standard_target: Target, munsell: FloatArray, rng: np.random.Generator,
 ) -> None:  # fmt: skip
     """On tables wrong by sd 3 the models chosen against shared colours agree better."""
-    white = np.ones((1, len(WAVELENGTHS_NM)))
-    white_xyz = reflectance_to_xyz_d65(white)[0]
     between: dict[bool, list[float]] = {True: [], False: []}
     for seed in range(10):
-        discs = printed_palette(standard_target, _PRINT_SD, seed).discs[chart.rows]
-        pairs = {}
-        for camera in sensors:
-            rgb = see(camera, discs) * rng.normal(1, _NOISE, (len(discs), 3))
-            pairs[camera] = chart.pairs(rgb, see(camera, white)[0], white_xyz)
+        pairs = chart.printed(standard_target, seed, see, sensors, rng)
         colours = dict.fromkeys(pairs, np.arange(len(chart.xyz)))
         for again in (True, False):
             chosen = select_together(pairs, colours, chart.xyz, chart.cov, _FEW, share=again)

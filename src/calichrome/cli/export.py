@@ -43,6 +43,8 @@ class Export(Command):
         pair = names_from(self.pair)
         if pair and len(pair) != 2:
             raise RecordingError(f"--pair wants two cameras, like left,right; got {len(pair)}")
+        if pair and self.cameras:
+            raise RecordingError("--pair names the two cameras already; leave out --cameras")
         rig = load_rig(self.rig)
         written, findings = export_rig(
             rig,

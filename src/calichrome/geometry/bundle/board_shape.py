@@ -105,11 +105,11 @@ def _orthogonal(
 
     Vectors are of size 1; `spanned` may have any.
     """
-    spanned = list(spanned)
+    span, _ = np.linalg.qr(np.stack([item / np.linalg.norm(item) for item in spanned], axis=1))
     for place, vector in enumerate(vectors):
-        span, _ = np.linalg.qr(np.stack([item / np.linalg.norm(item) for item in spanned], axis=1))
         rest = vector - span @ (span.T @ vector)
+        rest -= span @ (span.T @ rest)  # what rounding left of it
         if np.ptp(rest) < _SAME:
             continue
-        spanned.append(rest)
+        span = np.column_stack([span, rest / np.linalg.norm(rest)])
         yield place, rest
