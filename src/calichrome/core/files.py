@@ -68,8 +68,8 @@ def writing_folder(
     inputs
         What the output is made from: a folder that is or holds one of them is never replaced.
     stale
-        Patterns of files that an earlier run may have left there and that would speak of what is
-        there no longer; they go.
+        Names of files that an earlier run may have left there and that would speak of what is there
+        no longer; they go.
 
     Raises
     ------
@@ -99,9 +99,8 @@ def writing_folder(
 
 def _move_into(new: Path, existing: Path, stale: Collection[str]) -> None:
     """Put every file in its place; what else the existing folder holds is not ours to remove."""
-    for pattern in stale:
-        for item in existing.glob(pattern):
-            item.unlink()
+    for name in stale:
+        (existing / name).unlink(missing_ok=True)
     for item in sorted(new.rglob("*")):
         place = existing / item.relative_to(new)
         if item.is_dir():

@@ -78,10 +78,7 @@ def read_timestamps(
     if set(_OURS) <= set(columns):
         asked = [(line, row) for line, row in rows if row["camera"] not in others]
         return _from_ours(path, asked, n_frames)
-    raise RecordingError(
-        f"{path}: has the columns {', '.join(columns) or '(none)'}; wanted are {', '.join(_OURS)}, "
-        f"or caliscope's {', '.join(_CALISCOPE)}"
-    )
+    raise _other_columns(path, columns)
 
 
 def read_picture_times(
@@ -130,9 +127,11 @@ def copy_timestamps(path: Path, output: Path, names: Mapping[str, str]) -> None:
     Raises
     ------
     RecordingError
-        If the file cannot be read.
+        If the file cannot be read, or the columns are others.
     """
     columns, rows = _read(path)
+    if not {_OURS[0], _CALISCOPE[1]} & set(columns):
+        raise _other_columns(path, columns)
     column = _OURS[0] if _OURS[0] in columns else _CALISCOPE[1]
     if column == _CALISCOPE[1]:
         cam_ids = _cameras_of({row[column] for _, row in rows}, tuple(names), path)
@@ -143,6 +142,13 @@ def copy_timestamps(path: Path, output: Path, names: Mapping[str, str]) -> None:
         writer.writerows(
             {**row, column: names[row[column]]} for _, row in rows if row[column] in names
         )
+
+
+def _other_columns(path: Path, columns: Sequence[str]) -> RecordingError:
+    return RecordingError(
+        f"{path}: has the columns {', '.join(columns) or '(none)'}; wanted are {', '.join(_OURS)}, "
+        f"or caliscope's {', '.join(_CALISCOPE)}"
+    )
 
 
 def _read(path: Path) -> tuple[Sequence[str], list[tuple[int, Row]]]:

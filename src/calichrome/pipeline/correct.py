@@ -117,7 +117,10 @@ def correct(
         )
         for name, video in inputs.videos.items()
     }
-    stale = ["cameras.json", "timestamps.csv", *(f"{name}.partial.mp4" for name in jobs)]
+    stale = [f"{name}.partial.mp4" for name in jobs]
+    others = (name for name in rig.cameras if name not in inputs.cameras)
+    if not any((output / item).exists() for name in others for item in (name, f"{name}.mp4")):
+        stale += ["cameras.json", "timestamps.csv"]  # of other cameras they would still be true
     with writing_folder(output, force=force, inputs=[source], stale=stale) as folder:
         if inputs.timestamps is not None:
             copy_timestamps(inputs.timestamps, folder / "timestamps.csv", inputs.names)

@@ -46,7 +46,7 @@ def load_classifier(text: str) -> Classifier:
     try:
         variables = run_path(place) if place.endswith(".py") else vars(import_module(place))
         function: Classifier = variables[name]
-    except Exception as error:
+    except Exception as error:  # a file of the user's may fail in any way
         raise CalichromeError(
             f"--classify {text}: cannot be imported ({type(error).__name__}: {error}); give a "
             f"function of three arguments (crop, Lab, size) that returns a label"

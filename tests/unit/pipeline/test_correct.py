@@ -116,6 +116,18 @@ def test_nothing_speaks_of_pictures_that_are_gone(rig: Rig, tmp_path: Path) -> N
     stamps.unlink()
     correct(rig, tmp_path / "in", out, force=True)
     assert {path.name for path in out.iterdir()} == {"left", "right", "notes.txt"}
+    stamps.write_text("when,what\n1,2\n")
+    with pytest.raises(RecordingError, match="has the columns when, what"):
+        correct(rig, tmp_path / "in", tmp_path / "again")
+    assert not (tmp_path / "again").exists()
+
+
+def test_what_speaks_of_another_camera_stays(rig: Rig, tmp_path: Path) -> None:
+    picture, out = tmp_path / "flat" / "7.png", tmp_path / "out"
+    write_picture(picture, _filled(90, np.uint8))
+    correct(rig, picture, out, camera="left", view=NewView(undistort=True))
+    correct(rig, picture, out, camera="right", force=True)
+    assert (out / "cameras.json").is_file()
 
 
 def test_rectified_float_pictures_are_not_black(rig: Rig, tmp_path: Path) -> None:
