@@ -29,10 +29,6 @@ StopReason = Literal["cost", "step", "stalled", "iterations"]
 _SMALLEST_STEP = 1e-9
 """Of the residual noise: when no residual would move by more, nothing is left to gain."""
 
-_FORESEEN = 1e-2
-"""Of `relative_decrease`: where even the quadratic model, exact near the minimum, foresees less,
-the trial is spared; its cost would drown in rounding."""
-
 
 _SHRINK = 1e-2
 """Of the damping, after a step that the quadratic model foresaw: with 1/10 a rig's weakest
@@ -161,6 +157,7 @@ def levenberg_marquardt(
     *,
     max_iterations: int = 100,
     relative_decrease: float = 1e-12,
+    foreseen: float = 1e-2,
     damping: float = 1e-4,
 ) -> LeastSquaresResult[State, Equations]:
     """Minimise half the sum of squared residuals.
@@ -179,6 +176,10 @@ def levenberg_marquardt(
     relative_decrease
         Stop when an accepted step lowers the cost by less than this share. The default leaves
         parameters exact to about 1e-6 of their sigma.
+    foreseen
+        Of `relative_decrease`: where even the quadratic model, exact near the minimum, foresees
+        less, the trial is spared. With the defaults its cost would drown in rounding; 1 is for who
+        needs the neighbourhood only.
     damping
         Of the first step; less for a start that is near the minimum.
 
@@ -210,7 +211,7 @@ def levenberg_marquardt(
         if step.largest <= _SMALLEST_STEP * noise:
             stop_reason = "step"
             break
-        if step.predicted <= _FORESEEN * relative_decrease * equations.cost:
+        if step.predicted <= foreseen * relative_decrease * equations.cost:
             stop_reason = "cost"
             break
         trial_state = move(state, step.vector)

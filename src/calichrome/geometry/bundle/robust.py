@@ -172,7 +172,8 @@ def _near(
     for _ in range(_ROUNDS):
         state = solve_bundle(
             few.weighted(_scaled(few, base, noise)), state, free, priors=priors,
-            huber=_HUBER, max_iterations=20, relative_decrease=_LOOSE, damping=damping,
+            huber=_HUBER, max_iterations=20, relative_decrease=_LOOSE, foreseen=1.0,
+            damping=damping,
         ).state  # fmt: skip
         damping = _NEAR
         before, noise = noise, median_noise(few, _lengths(few, base, state))

@@ -39,6 +39,7 @@ def solve_bundle(
     huber: float | None = None,
     max_iterations: int = 100,
     relative_decrease: float = 1e-10,
+    foreseen: float = 1e-2,
     damping: float = 1e-4,
 ) -> BundleResult:
     """Minimise the whitened reprojection error of all views together.
@@ -53,7 +54,7 @@ def solve_bundle(
         Knowledge from elsewhere; None: none.
     huber
         See `view_blocks`.
-    max_iterations, relative_decrease, damping
+    max_iterations, relative_decrease, foreseen, damping
         See `levenberg_marquardt`.
 
     Raises
@@ -69,6 +70,7 @@ def solve_bundle(
             BundleState.moved,
             max_iterations=max_iterations,
             relative_decrease=relative_decrease,
+            foreseen=foreseen,
             damping=damping,
         )
 
