@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from calichrome.core.arrays import Scratch
 from calichrome.errors import OutputError
 from calichrome.imaging.image import Pixels
 from calichrome.imaging.pyav import av
@@ -109,12 +110,18 @@ class VideoWriter:
         """How many frames were written."""
         return self._n_frames
 
-    def frame(self, pixels: Pixels, stamp: int) -> "VideoFrame":
+    def frame(self, pixels: Pixels, stamp: int, scratch: Scratch | None = None) -> "VideoFrame":
         """Return what `write` wants of (H, W, 3) RGB or (H, W) grey; may run in any thread.
 
-        `stamp` is when it is shown, in units of the stream.
+        `stamp` is when it is shown, in units of the stream; `scratch` as in `frame_of_rgb`.
         """
-        frame = frame_of_rgb(pixels, self._layout, self._matrix, full_range=self._form.full_range)
+        frame = frame_of_rgb(
+            pixels,
+            self._layout,
+            self._matrix,
+            full_range=self._form.full_range,
+            scratch=scratch,
+        )
         frame.pts, frame.time_base = stamp, self._form.time_base
         return frame
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calichrome.core.arrays import FloatArray
+from calichrome.core.arrays import FloatArray, Scratch
 from calichrome.imaging.image import Pixels
 from calichrome.imaging.pyav import av
 
@@ -41,8 +41,15 @@ def stated_matrix(code: int, height: int) -> int:
     return code if code in _KR_KB else BT709 if height >= _HD_LINES else _BT601
 
 
-def rgb_of_frame(frame: "VideoFrame") -> Pixels:
+def rgb_of_frame(frame: "VideoFrame", scratch: Scratch | None = None) -> Pixels:
     """Return RGB of full range (H, W, 3), or grey (H, W); more than 8 bits become 16.
+
+    Parameters
+    ----------
+    frame
+        As decoded.
+    scratch
+        Arrays to work in: the answer is one of them, until the next call with the same.
 
     Notes
     -----
@@ -56,18 +63,29 @@ def rgb_of_frame(frame: "VideoFrame") -> Pixels:
     is_plain = layout.name.startswith("yuv") and layout.is_planar and len(frame.planes) == 3
     if not is_plain or layout.is_big_endian:
         return _by_swscale(frame, matrix, is_full=is_full, deep=bits > 8)
+    scratch = scratch or Scratch()
     luma, *chroma = (_array_of(plane, bits) for plane in frame.planes)
     height, width = luma.shape
     for index, plane in enumerate(chroma):
         if plane.shape != luma.shape:
             times_x, times_y = -(-width // plane.shape[1]), -(-height // plane.shape[0])
             size_wh = plane.shape[1] * times_x, plane.shape[0] * times_y
-            chroma[index] = cv2.resize(plane, size_wh)[:height, :width]
-    codes = cv2.merge([luma, *chroma])
-    return np.asarray(cv2.transform(codes, _rgb_from_codes(matrix, bits, is_full)))
+            wide = scratch.array(f"chroma {index}", size_wh[::-1], plane.dtype)
+            chroma[index] = cv2.resize(plane, size_wh, dst=wide)[:height, :width]
+    shape = height, width, 3
+    codes = cv2.merge([luma, *chroma], dst=scratch.array("codes", shape, luma.dtype))
+    pixels = scratch.array("pixels", shape, luma.dtype)
+    return np.asarray(cv2.transform(codes, _rgb_from_codes(matrix, bits, is_full), dst=pixels))
 
 
-def frame_of_rgb(pixels: Pixels, layout: str, matrix: int, *, full_range: bool) -> "VideoFrame":
+def frame_of_rgb(
+    pixels: Pixels,
+    layout: str,
+    matrix: int,
+    *,
+    full_range: bool,
+    scratch: Scratch | None = None,
+) -> "VideoFrame":
     """Return a frame of planar YUV.
 
     Parameters
@@ -80,20 +98,34 @@ def frame_of_rgb(pixels: Pixels, layout: str, matrix: int, *, full_range: bool) 
         Code of ITU-T H.273.
     full_range
         Whether codes use all values.
+    scratch
+        Arrays to work in; `pixels` may be what `rgb_of_frame` returned of the same.
+
+    Raises
+    ------
+    ValueError
+        If one of `pixels` and `layout` has 8 bits, and the other has more.
     """
+    scratch = scratch or Scratch()
     if pixels.ndim == 2:
         pixels = np.repeat(pixels[..., None], 3, axis=2)
     height, width = pixels.shape[:2]
     frame: VideoFrame = av().VideoFrame(width, height, layout)
     bits = frame.format.components[0].bits
-    codes = cv2.transform(pixels, _codes_from_rgb(matrix, bits, full_range, pixels.dtype.itemsize))
+    if (bits > 8) != (pixels.dtype.itemsize > 1):
+        raise ValueError(f"pixels: {pixels.dtype} does not fit {layout}")
+    forth = _codes_from_rgb(matrix, bits, full_range, pixels.dtype.itemsize)
+    codes = cv2.transform(pixels, forth, dst=scratch.array("codes", pixels.shape, pixels.dtype))
     planes = [_array_of(plane, bits) for plane in frame.planes]
-    for channel, plane in enumerate(planes):
-        if plane.shape == (height, width):
-            cv2.extractChannel(codes, channel, dst=plane)
-        else:
-            own = cv2.extractChannel(codes, channel)
-            cv2.resize(own, plane.shape[::-1], dst=plane, interpolation=cv2.INTER_AREA)
+    shape = height, width
+    whole = [
+        plane if plane.shape == shape else scratch.array(f"channel {index}", shape, codes.dtype)
+        for index, plane in enumerate(planes)
+    ]
+    cv2.split(codes, whole)  # in one pass: a third of the time of one channel after the other
+    for plane, channel in zip(planes, whole, strict=True):
+        if plane is not channel:
+            cv2.resize(channel, plane.shape[::-1], dst=plane, interpolation=cv2.INTER_AREA)
     frame.colorspace, frame.color_range = matrix, FULL if full_range else LIMITED
     return frame
 

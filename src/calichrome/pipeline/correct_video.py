@@ -9,10 +9,11 @@ from fractions import Fraction
 from functools import partial
 from itertools import repeat
 from pathlib import Path
-from threading import Lock
+from threading import Lock, local
 from typing import TYPE_CHECKING
 
 from calichrome.apply import Corrector, OutputSpace
+from calichrome.core.arrays import Scratch
 from calichrome.errors import InterruptedOutputError, RecordingError
 from calichrome.imaging import (
     BT709,
@@ -280,13 +281,18 @@ def _written(job: VideoJob, writer: VideoWriter, clock: _Clock) -> Generator[Tim
         with clock.measures("decode"):
             return next(frames, None)
 
+    by_thread = local()
+
     def correct(timed: TimedFrame) -> tuple[TimedFrame, "VideoFrame"]:
+        scratch = by_thread.__dict__.setdefault("scratch", Scratch())
+        corrector = job.corrector
+        out = scratch.array("corrected", corrector.output_shape, corrector.output_dtype)
         with clock.measures("convert"):
-            pixels = rgb_of_frame(timed.frame)
+            pixels = rgb_of_frame(timed.frame, scratch)
         with clock.measures("correct"):
-            corrected = job.corrector.apply(pixels)
+            corrected = corrector.apply(pixels, out)
         with clock.measures("convert"):
-            return timed, writer.frame(corrected, timed.stamp)
+            return timed, writer.frame(corrected, timed.stamp, scratch)
 
     def write(item: tuple[TimedFrame, "VideoFrame"]) -> TimedFrame:
         timed, frame = item

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from av.video.reformatter import Interpolation
 
+from calichrome.core.arrays import Scratch
 from calichrome.imaging import Pixels
 from calichrome.imaging.yuv import frame_of_rgb, rgb_of_frame, stated_matrix
 
@@ -106,3 +107,23 @@ def test_grey_becomes_grey() -> None:
     grey = np.tile(np.arange(256, dtype=np.uint8), (16, 1))
     back = rgb_of_frame(frame_of_rgb(grey, "yuv420p", 1, full_range=False)).astype(int)
     assert np.abs(back - grey[..., None]).max() <= 1
+
+
+def test_arrays_used_again_change_nothing(rng: np.random.Generator) -> None:
+    """Frames of different sizes and depths pass through the same arrays, in turn."""
+    scratch = Scratch()
+    for layout, size_wh in [
+        ("yuv420p", (64, 48)),
+        ("yuv420p", (64, 48)),
+        ("yuv420p10le", (64, 48)),
+        ("yuv420p", (63, 47)),
+    ]:
+        pixels = _patches(rng, size_wh, np.uint16 if layout.endswith("10le") else np.uint8)
+        fresh = frame_of_rgb(pixels, layout, 1, full_range=False)
+        again = frame_of_rgb(pixels, layout, 1, full_range=False, scratch=scratch)
+        np.testing.assert_array_equal(rgb_of_frame(again, scratch), rgb_of_frame(fresh))
+
+
+def test_depth_must_fit() -> None:
+    with pytest.raises(ValueError, match="uint8 does not fit yuv420p10le"):
+        frame_of_rgb(np.zeros((16, 16, 3), np.uint8), "yuv420p10le", 1, full_range=False)
