@@ -39,8 +39,15 @@ class Regression:
     Parameters
     ----------
     coefficients : (P, 3) float
-    gain : (P, 3, N, 3) float
-        d coefficients / d relative target of each colour: the estimator itself.
+    vectors : (3 P, 3 P) float
+        In which the normal equations of every pull are diagonal.
+    scales : (K, 3 P) float
+        The inverse of that diagonal for every pull that is not stronger than the chosen one,
+        weakest first.
+    rows : (N, 3, 3 P) float
+        What a relative target of each colour adds to the right side, in those vectors.
+    weights : (N, 3, 3) float
+        Of each colour's error, as they were in the last fit.
     strength
         Of the pull; 0 where nothing is drawn.
     penalty : (3 P, 3 P) float
@@ -50,10 +57,31 @@ class Regression:
     """
 
     coefficients: FloatArray
-    gain: FloatArray
+    vectors: FloatArray
+    scales: FloatArray
+    rows: FloatArray
+    weights: FloatArray
     strength: float
     penalty: FloatArray
     left_out: FloatArray
+
+    @property
+    def gain(self) -> FloatArray:
+        """Derivative of the coefficients by relative targets, (3 P, 3 N): the estimator."""
+        return self._gain(self.scales[-1])
+
+    @property
+    def gains(self) -> FloatArray:
+        """The same of every pull that is not stronger, (K, 3 P, 3 N); the last is `gain`."""
+        return np.stack([self._gain(scales) for scales in self.scales])
+
+    @property
+    def inverse(self) -> FloatArray:
+        """Of the normal equations, the pull among them, (3 P, 3 P)."""
+        return np.asarray((self.vectors * self.scales[-1]) @ self.vectors.T)
+
+    def _gain(self, scales: FloatArray) -> FloatArray:
+        return np.asarray((self.vectors * scales) @ self.rows.reshape(-1, len(scales)).T)
 
 
 def fit_terms(
@@ -127,10 +155,13 @@ def _solve(
     left_out = base + wanted - np.linalg.solve(gap, residuals[..., None])[..., 0]
     errors = pairs.difference(left_out * pairs.white_xyz)
     best = int(np.argmin(errors @ pairs.weights))
-    vectors = scipy.linalg.solve_triangular(triangle, turn.T * scales[best])
+    vectors = scipy.linalg.solve_triangular(triangle, turn.T)
     return Regression(
-        coefficients=(vectors @ side).reshape(n_terms, 3),
-        gain=np.einsum("av,niv->ani", vectors, weighted).reshape(n_terms, 3, n, 3),
+        coefficients=(vectors @ (scales[best] * side)).reshape(n_terms, 3),
+        vectors=vectors,
+        scales=scales[: best + 1],
+        rows=weighted,
+        weights=whitening,
         strength=float(strengths[best]) if n_shrunk else 0.0,
         penalty=pull.T @ pull,
         left_out=left_out[best],

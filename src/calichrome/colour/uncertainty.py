@@ -15,7 +15,7 @@ from calichrome.colour.pairs import ColourPairs
 from calichrome.colour.regression import Regression, fit_terms
 from calichrome.core.arrays import FloatArray
 
-__all__ = ["ColourCovariance", "bound_95", "model_covariance", "propagate"]
+__all__ = ["ColourCovariance", "bound_95", "flattening", "model_covariance", "propagate"]
 
 _REFITS = 60  # the sigma of a sigma is then 9 %
 _VARIANCES = 10.0 ** np.arange(-4, 4.1, 0.5)
@@ -63,11 +63,13 @@ class ColourCovariance:
 def propagate(model: TermModel, solved: Regression, pairs: ColourPairs) -> ColourCovariance:
     """Covariance of a fitted model about the one that exact colours would have given.
 
-    Two parts. An error of a camera colour acts like one of the target, seen through the model; the
-    fit is linear in the targets, so it leaves G E G' with its gain G. And the pull draws
-    coefficients c away from where exact colours would have them, by (G Phi - 1) c; how large they
-    are is told by the colours themselves (`_drawn_variance`). What the model cannot follow is no
-    noise and has no part in it.
+    Three parts. An error of a camera colour acts like one of the target, seen through the model;
+    the fit is linear in the targets, so it leaves G E G' with its gain G. Errors of the regressors
+    flatten the fit (`flattening`). And exact colours would have chosen a pull of their own, with a
+    gain G0, from which this one is off by (G - G0) y0 of the exact targets y0: how large these are
+    is told by the colours themselves (`_exact_targets`). A pull that noise chose is stronger than
+    that of exact colours; of those that are not stronger each is as likely, so that the mean over
+    them stands here.
     """
     n, _ = pairs.rgb.shape
     jacobian = model.jacobian(pairs.rgb)
@@ -75,30 +77,62 @@ def propagate(model: TermModel, solved: Regression, pairs: ColourPairs) -> Colou
     errors = (seen + pairs.xyz_cov) / np.outer(pairs.white_xyz, pairs.white_xyz)
     gain = solved.gain.reshape(-1, n, 3)
     total = np.einsum("ani,nij,bnj->ab", gain, errors, gain, optimize=True)
+    shift = flattening(model, solved, pairs)
+    total += np.outer(shift, shift)
     if model.N_SHRUNK:
         design = np.asarray(np.kron(model.terms(pairs.balanced), np.eye(3)), dtype=np.float64)
         unit = np.asarray(np.linalg.pinv(solved.penalty), dtype=np.float64)
-        prior = _drawn_variance(model, design, unit, errors, pairs) * unit
-        away = gain.reshape(len(gain), -1) @ design - np.eye(len(gain))
-        total = total + away @ prior @ away.T
+        exact = _exact_targets(model, design, unit, errors, pairs)
+        away = solved.gain - solved.gains
+        total = total + np.einsum("kai,ij,kbj->ab", away, exact, away, optimize=True) / len(away)
     return ColourCovariance(model=model, matrix=total)
 
 
-def _drawn_variance(
+def flattening(model: TermModel, solved: Regression, pairs: ColourPairs) -> FloatArray:
+    """Shift (3 P,) of the coefficients that errors of the camera colours cause in the mean.
+
+    Notes
+    -----
+    The fit stands where the gradient g of its cost is 0. Colours with their errors once more would
+    have the mean gradient E g, and so a fit that is H^-1 E g away: as far, to second order, as this
+    one is from that of exact colours. The mean is taken by cubature [1]_: over both ends of each
+    principal axis, sqrt(3) sigma long.
+
+    References
+    ----------
+    .. [1] I. Arasaratnam, S. Haykin, "Cubature Kalman Filters", IEEE Trans. Automatic Control 54
+       (6), 2009.
+    .. [2] W. A. Fuller, "Measurement Error Models", 1987, section 1.1 (slopes that errors of the
+       regressors flatten).
+    """
+
+    def gradient(balanced: FloatArray) -> FloatArray:
+        terms = model.terms(balanced)
+        base = balanced[:, 1:2] if model.WHITE_EXACT else 0.0
+        misfit = base + terms @ model.coefficients - pairs.relative
+        return np.asarray(np.einsum("nk,nij,nj->ki", terms, solved.weights, misfit).ravel())
+
+    ends = np.sqrt(3) * _root(pairs.rgb_cov / np.outer(pairs.white_rgb, pairs.white_rgb))
+    moved = [gradient(pairs.balanced + sign * ends[..., axis])
+             for axis in range(3) for sign in (-1, 1)]  # fmt: skip
+    return np.asarray(solved.inverse @ (gradient(pairs.balanced) - np.mean(moved, axis=0)))
+
+
+def _exact_targets(
     model: TermModel,
     design: FloatArray,
     prior: FloatArray,
     errors: FloatArray,
     pairs: ColourPairs,
-) -> float:
-    """Variance of the drawn coefficients in units of `prior`, expected from the colours fitted to.
+) -> FloatArray:
+    """Covariance of exact targets beyond what free terms follow, (3 N, 3 N).
 
     Notes
     -----
-    The targets are Gaussian with covariance E + m M + t Phi prior Phi': their errors, a share m of
-    the assumed misfit, and the drawn coefficients; the others are free, so what they can follow is
-    projected out (restricted likelihood [1]_). The posterior mean of t is taken over a grid, the
-    standard deviation sqrt(t) uniform beforehand [2]_, ln m uniform.
+    It is m M + t Phi prior Phi': a share m of the assumed misfit, and the drawn coefficients. The
+    targets have E, the covariance of their errors, on top; what the free terms can follow is
+    projected out (restricted likelihood [1]_). The posterior means of m and t are taken over a
+    grid, the standard deviation sqrt(t) uniform beforehand [2]_, ln m uniform.
 
     References
     ----------
@@ -115,17 +149,19 @@ def _drawn_variance(
 
     base = pairs.balanced[:, 1:2] if model.WHITE_EXACT else 0.0
     wanted = others.T @ (pairs.relative - base).ravel()
-    noise = seen(block_diag(*errors))
-    misfit = seen(block_diag(*np.linalg.inv(pairs.whitening)))
-    drawn = seen(design @ prior @ design.T)
+    misfit = block_diag(*np.linalg.inv(pairs.whitening))
+    drawn = design @ prior @ design.T
+    noise, seen_misfit, seen_drawn = seen(block_diag(*errors)), seen(misfit), seen(drawn)
     logs = np.empty((len(_VARIANCES), len(_MISFITS)))
     for row, variance in enumerate(_VARIANCES):
         for column, share in enumerate(_MISFITS):
-            factor = np.linalg.cholesky(noise + share * misfit + variance * drawn)
+            factor = np.linalg.cholesky(noise + share * seen_misfit + variance * seen_drawn)
             white = solve_triangular(factor, wanted, lower=True)
             logs[row, column] = -0.5 * white @ white - np.log(np.diag(factor)).sum()
-    chances = np.exp(logs - logs.max()).sum(axis=1) * np.sqrt(_VARIANCES)
-    return float(chances @ _VARIANCES / chances.sum())
+    chances = np.exp(logs - logs.max()) * np.sqrt(_VARIANCES)[:, None]
+    chances /= chances.sum()
+    share, variance = chances.sum(axis=0) @ _MISFITS, chances.sum(axis=1) @ _VARIANCES
+    return np.asarray(share * misfit + variance * drawn)
 
 
 def model_covariance(
