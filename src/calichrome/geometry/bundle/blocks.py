@@ -5,6 +5,7 @@ the board's shape; the derivatives by camera pose and board pose follow from the
 the adjoint, once a view instead of once a corner. No Jacobian outlives its chunk.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from calichrome.core.arrays import FloatArray
 from calichrome.geometry.bundle.observations import Chunk, Observations
 from calichrome.geometry.bundle.state import BundleState
 
-__all__ = ["ViewBlocks", "chunk_residuals", "view_blocks", "whiten"]
+__all__ = ["ViewBlocks", "chunk_residuals", "residual_cost", "view_blocks", "whiten"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,6 +84,16 @@ def chunk_residuals(observations: Observations, state: BundleState) -> list[Floa
     return parts
 
 
+def residual_cost(
+    observations: Observations, residuals: Sequence[FloatArray], huber: float | None = None
+) -> float:
+    """Half the sum of (robust) squares of what `chunk_residuals` returned."""
+    return sum(
+        _weights(rows, chunk.whitening, huber)[0]
+        for chunk, rows in zip(observations.chunks, residuals, strict=True)
+    )
+
+
 def _points(
     chunk: Chunk, observations: Observations, state: BundleState, points_board: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -120,8 +131,7 @@ def _fill(
     np.subtract(pixels, chunk.pixels, out=residuals)
     cost, weights = _weights(residuals, chunk.whitening, huber)
     if weights is not None:
-        for columns in (by_lens, by_point, jacobian[:, -1:]):
-            _whiten_in_place(columns, weights)
+        _whiten_in_place((by_lens, by_point, jacobian[:, -1:]), weights)
     turn = jacobian[:, n_own : n_own + 3]  # d pixel / d omega = point x (d pixel / d point)
     for row, (b, c) in enumerate(((1, 2), (2, 0), (0, 1))):
         np.multiply(points[:, b, None], by_point[:, c], out=turn[:, row])
@@ -164,16 +174,18 @@ def _weights(
     return cost, root[:, None, None] * (np.eye(2)[:, :, None] if whitening is None else whitening)
 
 
-def _whiten_in_place(columns: FloatArray, w: FloatArray) -> None:
+def _whiten_in_place(parts: Sequence[FloatArray], w: FloatArray) -> None:
     """Apply weights (V, 2, 2, N) to columns (V, k, 2, N); triangular ones in fewer passes."""
-    u, v = columns[:, :, 0], columns[:, :, 1]
-    above = w[:, None, 0, 1] * v if w[:, 0, 1].any() else None
-    v *= w[:, None, 1, 1]
-    if w[:, 1, 0].any():
-        v += w[:, None, 1, 0] * u
-    u *= w[:, None, 0, 0]
-    if above is not None:
-        u += above
+    has_above, has_below = w[:, 0, 1].any(), w[:, 1, 0].any()
+    for columns in parts:
+        u, v = columns[:, :, 0], columns[:, :, 1]
+        above = w[:, None, 0, 1] * v if has_above else None
+        v *= w[:, None, 1, 1]
+        if has_below:
+            v += w[:, None, 1, 0] * u
+        u *= w[:, None, 0, 0]
+        if above is not None:
+            u += above
 
 
 def whiten(whitening: FloatArray, residuals: FloatArray) -> FloatArray:

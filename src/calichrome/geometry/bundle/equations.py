@@ -248,7 +248,12 @@ class BundleEquations:
         moves = moves[self._observations.camera]
         n_lens = self._state.lens_parameters.shape[1]
         own = moves.transpose(0, 2, 1) @ self._coupling[:, n_lens : n_lens + 6]
-        inverse = np.linalg.pinv(self._boards[1], hermitian=True)
+        roots = self._inverse_roots()
+        inverse = (
+            np.linalg.pinv(self._boards[1], hermitian=True)  # where a board's pose is not fixed
+            if roots is None
+            else roots.transpose(0, 2, 1) @ roots
+        )
         return np.asarray(np.einsum("vij,vji->v", inverse[self._frame_rows()], own) / 6)
 
     def _inverse_roots(self) -> FloatArray | None:

@@ -35,7 +35,7 @@ def median_noise(observations: Observations, lengths: Sequence[FloatArray]) -> F
     by_camera: list[list[FloatArray]] = [[] for _ in range(observations.n_cameras)]
     for chunk, values in zip(observations.chunks, lengths, strict=True):
         camera = observations.camera[chunk.views]
-        for present in np.unique(camera):
+        for present in set(camera.tolist()):
             own = camera == present
             by_camera[present].append(values[own][chunk.filled[own]])
     medians = np.array([np.median(np.concatenate(own)) if own else 0.0 for own in by_camera])

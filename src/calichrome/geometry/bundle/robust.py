@@ -84,22 +84,23 @@ def solve_robust(
         False: every corner counts, as it does in plain least squares.
     """
     base = _whitenings(observations)
-    state = start
     if gate:
-        state = _near(observations, start, free, priors)
-    lengths = _lengths(observations, base, state)
+        state, residuals = _near(observations, start, free, priors)
+    else:
+        state, residuals = start, chunk_residuals(observations, start)
+    lengths = _lengths(base, residuals)
     inside = kept = [chunk.filled for chunk in observations.chunks]
     if gate:
         inside = _inside(observations, lengths, median_noise(observations, lengths))
     noise = view_noise(observations, lengths, inside, free, views_differ=gate)
     if gate:  # the first gate stood on a rough state: one step on, it is drawn again
-        state, equations = step_bundle(
+        step = step_bundle(
             observations.weighted(_scaled(observations, base, noise, inside)), state, free,
             priors=priors, damping=_NEAR,
         )  # fmt: skip
-        lengths = _lengths(observations, base, state)
+        state, lengths = step.state, _lengths(base, step.residuals)
         noise = view_noise(
-            observations, lengths, inside, free, views_differ=True, shares=equations.shares()
+            observations, lengths, inside, free, views_differ=True, shares=step.equations.shares()
         )
         inside = _whole(observations, _inside(observations, lengths, noise))
     for _ in range(_ROUNDS):
@@ -109,7 +110,7 @@ def solve_robust(
             priors=priors, damping=_NEAR if gate else 1e-4,
         )  # fmt: skip
         state = result.state
-        lengths = _lengths(observations, base, state)
+        lengths = _lengths(base, chunk_residuals(observations, state))
         noise = view_noise(
             observations, lengths, kept, free, views_differ=gate, shares=result.equations.shares()
         )
@@ -152,15 +153,19 @@ def _by_camera(observations: Observations, noise: FloatArray) -> FloatArray:
 
 def _near(
     observations: Observations, start: BundleState, free: Free, priors: Priors | None
-) -> BundleState:
+) -> tuple[BundleState, list[FloatArray]]:
     """Come near the truth by Huber's cost, whose threshold follows the noise that is seen.
 
     Only a neighbourhood is sought, so all corners of a camera weigh alike and the board keeps its
     shape; what a bow leaves over counts as noise until the gate is drawn again.
+
+    Returns
+    -------
+    state, residuals
+        And what `chunk_residuals` returns there.
     """
-    few = observations
-    if observations.n_corners > _MANY:
-        few = observations.thinned(_ENOUGH)
+    is_thinned = observations.n_corners > _MANY
+    few = observations.thinned(_ENOUGH) if is_thinned else observations
     shaped = start.shape.displaced(few.points_board, start.shape_parameters)
     few = replace(few.unwhitened(np.ones(few.n_cameras)), points_board=shaped)
     base = _whitenings(few)
@@ -168,18 +173,26 @@ def _near(
     free = replace(free, shape=np.zeros(0, dtype=bool))
     if priors is not None:
         priors = replace(priors, shape_mean=np.zeros(0), shape_sigma=np.zeros(0))
-    noise, damping = median_noise(few, _lengths(few, base, state)), 1e-4
+    residuals = chunk_residuals(few, state)
+    noise: FloatArray | None = None
     for _ in range(_ROUNDS):
-        state = solve_bundle(
-            few.weighted(_scaled(few, base, noise)), state, free, priors=priors,
-            huber=_HUBER, max_iterations=20, relative_decrease=_LOOSE, foreseen=1.0,
-            damping=damping,
-        ).state  # fmt: skip
-        damping = _NEAR
-        before, noise = noise, median_noise(few, _lengths(few, base, state))
-        if (noise > _STEADY * before).all():
+        before, noise = noise, median_noise(few, _lengths(base, residuals))
+        if before is not None and (noise > _STEADY * before).all():
             break
-    return replace(state, shape=start.shape, shape_parameters=start.shape_parameters)
+        weighted = few.weighted(_scaled(few, base, noise))
+        if before is not None:  # by now one step is enough, as a rule
+            step = step_bundle(weighted, state, free, priors=priors, huber=_HUBER, damping=_NEAR)
+            state, residuals = step.state, step.residuals
+            if step.is_better:
+                continue
+        state = solve_bundle(
+            weighted, state, free, priors=priors, huber=_HUBER, max_iterations=20,
+            relative_decrease=_LOOSE, foreseen=1.0, damping=1e-4,
+        ).state  # fmt: skip
+        residuals = chunk_residuals(few, state)
+    if is_thinned:
+        residuals = chunk_residuals(replace(observations, points_board=shaped), state)
+    return replace(state, shape=start.shape, shape_parameters=start.shape_parameters), residuals
 
 
 def _whitenings(observations: Observations) -> list[FloatArray]:
@@ -207,14 +220,9 @@ def _scaled(
     return [item * inside[:, None, None] for item, inside in zip(scaled, kept, strict=True)]
 
 
-def _lengths(
-    observations: Observations, whitenings: Sequence[FloatArray], state: BundleState
-) -> list[FloatArray]:
+def _lengths(whitenings: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> list[FloatArray]:
     """Whitened 2-D residuals, (V, N) by chunk."""
-    whitened = (
-        whiten(whitening, rows)
-        for whitening, rows in zip(whitenings, chunk_residuals(observations, state), strict=True)
-    )
+    whitened = (whiten(own, rows) for own, rows in zip(whitenings, residuals, strict=True))
     return [np.hypot(rows[:, 0], rows[:, 1]) for rows in whitened]
 
 

@@ -6,12 +6,12 @@ import numpy as np
 
 from calichrome.core.arrays import FloatArray
 from calichrome.core.least_squares import LeastSquaresResult, levenberg_marquardt
-from calichrome.geometry.bundle.blocks import chunk_residuals, view_blocks, whiten
+from calichrome.geometry.bundle.blocks import chunk_residuals, residual_cost, view_blocks
 from calichrome.geometry.bundle.equations import BundleEquations
 from calichrome.geometry.bundle.observations import Observations
 from calichrome.geometry.bundle.state import BundleState, Free, Priors
 
-__all__ = ["BundleResult", "residuals_px", "solve_bundle", "step_bundle"]
+__all__ = ["BundleResult", "BundleStep", "residuals_px", "solve_bundle", "step_bundle"]
 
 BundleResult = LeastSquaresResult[BundleState, BundleEquations]
 
@@ -75,36 +75,55 @@ def solve_bundle(
         )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class BundleStep:
+    """One step of `step_bundle`.
+
+    Parameters
+    ----------
+    state
+        Where it leads; the start if that is nowhere better.
+    is_better
+        Whether it was taken.
+    residuals
+        There, as `chunk_residuals` returns them.
+    equations
+        Of the start.
+    """
+
+    state: BundleState
+    is_better: bool
+    residuals: list[FloatArray]
+    equations: BundleEquations
+
+
 def step_bundle(
     observations: Observations,
     start: BundleState,
     free: Free,
     *,
     priors: Priors | None = None,
+    huber: float | None = None,
     damping: float,
-) -> tuple[BundleState, BundleEquations]:
-    """Take one step of least squares and linearise nothing at its end.
+) -> BundleStep:
+    """Take one step and linearise nothing at its end.
 
-    Returns the new state, or the old one if the step leads nowhere better, and the equations of the
-    old one. Half the price of one iteration of `solve_bundle`.
+    Half the price of one iteration of `solve_bundle`, which tells the parameters.
     """
-    equations = _Bundle(observations, free, priors, None).linearise(start)
+    equations = _Bundle(observations, free, priors, huber).linearise(start)
     step = equations.step(damping)
-    if step is None:
-        return start, equations
-    end = start.moved(step.vector)
-    with np.errstate(invalid="ignore", over="ignore"):  # of an impossible end
-        residuals = chunk_residuals(observations, end)
-        cost = sum(
-            0.5 * float(np.sum(np.square(whiten(chunk.whitening, rows))))
-            if chunk.whitening is not None
-            else 0.5 * float(np.sum(np.square(rows)))
-            for chunk, rows in zip(observations.chunks, residuals, strict=True)
-        )
-    if priors is not None:
-        deviation, _ = priors.pull(end)
-        cost += 0.5 * float(deviation @ deviation)
-    return (end if cost < equations.cost else start), equations
+    if step is not None:
+        end = start.moved(step.vector)
+        with np.errstate(invalid="ignore", over="ignore"):  # of an impossible end
+            residuals = chunk_residuals(observations, end)
+            cost = residual_cost(observations, residuals, huber)
+        if priors is not None:
+            deviation, _ = priors.pull(end)
+            cost += 0.5 * float(deviation @ deviation)
+        if cost < equations.cost:
+            return BundleStep(end, is_better=True, residuals=residuals, equations=equations)
+    residuals = chunk_residuals(observations, start)
+    return BundleStep(start, is_better=False, residuals=residuals, equations=equations)
 
 
 def residuals_px(observations: Observations, state: BundleState) -> list[FloatArray]:
