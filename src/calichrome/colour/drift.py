@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from calichrome.colorimetry.difference import delta_e_2000_xyz
 from calichrome.colour.model import ColourModel
@@ -271,7 +271,7 @@ def _white_change(  # noqa: PLR0917 (what is known of all whites)
         tint = log - log.mean()
         shaded = 0.0 if known[camera].vignetting is not None else _UNSHADED_TINT
         sigma = float(np.hypot(_TINT_ALONE, shaded))
-        return 0.0, tint, None, float(chi2.sf(tint @ tint / sigma**2, 2))
+        return 0.0, tint, None, float(chdtrc(2, tint @ tint / sigma**2))
     shared = [row for row in own if any(row in logs[other] for other in others)]
     # the median of two is their mean, half-way between: either may have changed, by all of it
     scale = np.array([2.0 if sum(row in item for item in logs.values()) == 2 else 1.0
@@ -290,8 +290,8 @@ def _white_change(  # noqa: PLR0917 (what is known of all whites)
     return (
         level,
         tint,
-        float(chi2.sf((level / sigma_level) ** 2, 1)),
-        float(chi2.sf(tint @ tint / sigma_tint**2, 2)),
+        float(chdtrc(1, (level / sigma_level) ** 2)),
+        float(chdtrc(2, tint @ tint / sigma_tint**2)),
     )
 
 

@@ -8,7 +8,7 @@ spectrum or of a camera's processing can still do to them.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from calichrome.core.arrays import FloatArray
 
@@ -94,7 +94,7 @@ def compare_nested(values: FloatArray, narrow: FloatArray, extra: FloatArray) ->
         narrow=solution[:n_narrow],
         extra=solution[n_narrow:],
         extra_cov=cov[n_narrow:, n_narrow:],
-        chance=float(f_distribution.sf(gained / n_extra / variance, n_extra, freedom)),
+        chance=float(fdtrc(n_extra, freedom, max(gained, 0.0) / n_extra / variance)),
         weights=weights,
     )
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calichrome.colorimetry.description import DescriptionSpace, metric
 from calichrome.colour.families import fit_model
@@ -242,4 +242,4 @@ def bound_95(
     squares = np.trace(product @ product, axis1=1, axis2=2)
     safe = np.maximum(mean, 1e-30)
     freedom = np.clip(safe**2 / np.maximum(squares, 1e-60), 1.0, 3.0)
-    return np.asarray(np.sqrt(chi2.ppf(0.95, freedom) * safe / freedom))
+    return np.asarray(np.sqrt(chdtri(freedom, 0.05) * safe / freedom))

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtri
 
 from calichrome.core.arrays import FloatArray
 from calichrome.core.pose import Pose
@@ -95,7 +95,7 @@ def _better(simple: RobustResult, richer: RobustResult, n_more: int) -> bool:
     n_corners = sum(int(part.sum()) for part in richer.inliers)
     freedom = 2 * n_corners - richer.n_unknowns
     gain = (simple.squares / richer.squares - 1) * freedom / max(n_more, 1)
-    return bool(freedom > 0 and gain > f_distribution.isf(_BY_CHANCE, n_more, freedom))
+    return bool(freedom > 0 and gain > fdtri(n_more, freedom, 1 - _BY_CHANCE))
 
 
 def _begin(dataset: Dataset, target: Target, settings: RigSettings) -> RigProblem:
