@@ -113,6 +113,7 @@ class VideoWriter:
     def frame(self, pixels: Pixels, stamp: int, scratch: Scratch | None = None) -> "VideoFrame":
         """Return what `write` wants of (H, W, 3) RGB or (H, W) grey; may run in any thread.
 
+        Pixels are uint16 where the form is deep, else uint8.
         `stamp` is when it is shown, in units of the stream; `scratch` as in `frame_of_rgb`.
         """
         frame = frame_of_rgb(

@@ -11,10 +11,12 @@ import pytest
 from calichrome.core.arrays import UInt8Array
 from calichrome.errors import OutputError
 from calichrome.imaging import (
+    Image,
     StreamFormat,
     VideoSettings,
     VideoWriter,
     open_video,
+    read_frame,
     stream_format,
     timed_frames,
 )
@@ -38,7 +40,9 @@ def _write(
 ) -> Path:
     writer = VideoWriter(path, size_wh, form, VideoSettings())
     for index, stamp in enumerate(range(20) if stamps is None else stamps):
-        writer.write(writer.frame(_picture(index, size_wh), stamp))
+        picture = _picture(index, size_wh)
+        stored = picture.astype(np.uint16) * 257 if form.is_deep else picture
+        writer.write(writer.frame(stored, stamp))
     writer.close()
     return path
 
@@ -91,6 +95,10 @@ def test_tags_depth_and_pixel_shape(tmp_path: Path) -> None:
     assert read.is_deep
     with av.open(str(tmp_path / "a.mp4")) as container:
         assert container.streams.video[0].codec_context.pix_fmt == "yuv420p10le"
+    image = read_frame(video, 3)
+    assert isinstance(image, Image)
+    assert image.bits == 16
+    np.testing.assert_allclose(image.pixels[:, 20:], 90 * 257, rtol=0.01)
 
 
 def test_odd_sizes_stay(tmp_path: Path) -> None:
