@@ -67,9 +67,9 @@ def propagate(model: TermModel, solved: Regression, pairs: ColourPairs) -> Colou
     the fit is linear in the targets, so it leaves G E G' with its gain G. Errors of the regressors
     flatten the fit (`flattening`). And exact colours would have chosen a pull of their own, with a
     gain G0, from which this one is off by (G - G0) y0 of the exact targets y0: how large these are
-    is told by the colours themselves (`_exact_targets`). A pull that noise chose is stronger than
-    that of exact colours; of those that are not stronger each is as likely, so that the mean over
-    them stands here.
+    is told by the colours themselves (`_exact_targets`). As a rule noise makes a pull stronger: of
+    those up to the chosen one each is taken to be as likely that of exact colours. Where noise
+    made it weaker, the bound is too small.
     """
     n, _ = pairs.rgb.shape
     jacobian = model.jacobian(pairs.rgb)
