@@ -9,7 +9,7 @@ setup(
         Extension(
             "calichrome.kernels.native",
             [f"{_FOLDER}/native.c"],
-            depends=[f"{_FOLDER}/{name}" for name in ("plan.h", "correct.h", "lanes.h")],
+            depends=[f"{_FOLDER}/{name}" for name in ("plan.h", "correct.h", "yuv.h", "lanes.h")],
             # roots become single instructions once they need not report errors; vectors are never
             # passed between functions, as all are inlined
             extra_compile_args=["-O3", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"],

@@ -99,8 +99,9 @@ def map_grid(source_map: SourceMap, size_wh: tuple[int, int]) -> Grid:
     is_lit = _is_lit(source_map, size_wh)
 
     def is_close(approximate: NDArray[np.float32]) -> bool:
-        is_near = np.abs(approximate - source_map).max(axis=-1) <= _NEAR_PX
-        return bool((is_near | ~(is_lit | _is_lit(approximate, size_wh))).all())
+        is_near = np.abs(approximate - source_map) <= _NEAR_PX
+        is_dark = ~(is_lit | _is_lit(approximate, size_wh))
+        return bool((is_near | is_dark[..., None]).all())
 
     return Grid.through(source_map, is_close)
 
@@ -108,7 +109,8 @@ def map_grid(source_map: SourceMap, size_wh: tuple[int, int]) -> Grid:
 def _is_lit(source_map: SourceMap, size_wh: tuple[int, int]) -> NDArray[np.bool_]:
     """Tell where any light of the picture arrives when it is resampled."""
     limits = np.array(size_wh, dtype=np.float32)
-    return np.asarray(((source_map > -1) & (source_map < limits)).all(axis=-1))
+    is_inside = (source_map > -1) & (source_map < limits)
+    return np.asarray(is_inside[..., 0] & is_inside[..., 1])  # .all(axis=-1) takes 20 times as long
 
 
 def gain_grid(
@@ -126,8 +128,8 @@ def gain_grid(
     inverse = np.asarray(rows, dtype=np.float32).reshape(*places.shape[:2], 3)
 
     def is_close(approximate: NDArray[np.float32]) -> bool:
-        off = np.abs(approximate / inverse - 1).max(axis=-1)
-        return bool((off[is_lit] <= _NEAR_GAIN).all())
+        is_near = np.abs(approximate / inverse - 1) <= _NEAR_GAIN
+        return bool(is_near[is_lit].all())
 
     return Grid.through(inverse, is_close)
 

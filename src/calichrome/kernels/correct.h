@@ -6,7 +6,6 @@
  * Included twice: with WIDE 1 every function is compiled for AVX2 and FMA and the primitives are
  * intrinsics, with WIDE 0 for whatever the compiler targets.
  */
-#include "lanes.h"
 
 /* Nodes at one row of output pixels, so that only the horizontal half is left per pixel. */
 STAGE void NAME(nodes_of_row)(const grid_t *grid, ptrdiff_t y, ptrdiff_t x, ptrdiff_t n_pixels,

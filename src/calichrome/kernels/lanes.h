@@ -108,6 +108,78 @@ LANES floats_t NAME(cube_root)(floats_t values) {
     return root;
 }
 
+/* Eight bytes as numbers. */
+LANES floats_t NAME(bytes)(const uint8_t *data) {
+#if WIDE
+    return real_wide((ints_t)_mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i *)data)));
+#else
+    floats_t values;
+    for (int k = 0; k < 8; ++k) values[k] = data[k];
+    return values;
+#endif
+}
+
+/* Eight numbers, rounded and limited to bytes. */
+LANES void NAME(store_bytes)(floats_t values, uint8_t *out) {
+#if WIDE
+    __m256i codes = _mm256_cvtps_epi32((__m256)values);
+    __m128i words = _mm_packs_epi32(_mm256_castsi256_si128(codes),
+                                    _mm256_extracti128_si256(codes, 1));
+    _mm_storel_epi64((__m128i *)out, _mm_packus_epi16(words, words));
+#else
+    values = NAME(least)(NAME(largest)(values, NAME(all)(0)), NAME(all)(255));
+    for (int k = 0; k < 8; ++k) out[k] = (uint8_t)(values[k] + 0.5f);
+#endif
+}
+
+/* Sums of neighbours, those of `first` before those of `second`. */
+LANES floats_t NAME(pair_sums)(floats_t first, floats_t second) {
+#if WIDE
+    __m256d sums = (__m256d)_mm256_hadd_ps((__m256)first, (__m256)second);
+    return (floats_t)_mm256_permute4x64_pd(sums, 0xd8);
+#else
+    return (floats_t){first[0] + first[1], first[2] + first[3], first[4] + first[5],
+                      first[6] + first[7], second[0] + second[1], second[2] + second[3],
+                      second[4] + second[5], second[6] + second[7]};
+#endif
+}
+
+/* Eight packed pixels. */
+LANES void NAME(take8)(const uint8_t *data, floats_t values[3]) {
+#if WIDE
+    /* pixels 0-3 from bytes 0-11, 4-7 from bytes 12-23 of the 24 */
+    __m256i bytes = _mm256_set_m128i(_mm_loadu_si128((const __m128i *)(data + 8)),
+                                     _mm_loadu_si128((const __m128i *)data));
+    const char n = -1;
+    for (int c = 0; c < 3; ++c) {
+        char a = (char)c;
+        __m256i which = _mm256_setr_epi8(
+            a, n, n, n, a + 3, n, n, n, a + 6, n, n, n, a + 9, n, n, n,
+            a + 4, n, n, n, a + 7, n, n, n, a + 10, n, n, n, a + 13, n, n, n);
+        values[c] = real_wide((ints_t)_mm256_shuffle_epi8(bytes, which));
+    }
+#else
+    for (int k = 0; k < 24; ++k) values[k % 3][k / 3] = data[k];
+#endif
+}
+
+/* The same back; values must lie in 0..255. */
+LANES void NAME(store8)(const floats_t values[3], uint8_t *out) {
+#if WIDE
+    ints_t codes[3];
+    for (int c = 0; c < 3; ++c) codes[c] = (ints_t)_mm256_cvtps_epi32((__m256)values[c]);
+    __m256i packed = (__m256i)(codes[0] | (codes[1] << 8) | (codes[2] << 16));
+    __m256i bytes = _mm256_shuffle_epi8(
+        packed, _mm256_setr_epi8(0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1, 0, 1, 2, 4,
+                                 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1));
+    bytes = _mm256_permutevar8x32_epi32(bytes, _mm256_setr_epi32(0, 1, 2, 4, 5, 6, 7, 7));
+    _mm_storeu_si128((__m128i *)out, _mm256_castsi256_si128(bytes));
+    _mm_storel_epi64((__m128i *)(out + 16), _mm256_extracti128_si256(bytes, 1));
+#else
+    for (int k = 0; k < 24; ++k) out[k] = (uint8_t)(values[k % 3][k / 3] + 0.5f);
+#endif
+}
+
 #if WIDE
 /* Whether offsets into the picture fit 32 bits. */
 LANES int can_sample_wide(const plan_t *plan, picture_t source) {
@@ -182,20 +254,6 @@ LANES void sample8_wide(picture_t source, floats_t x, floats_t y, floats_t value
     for (int c = 0; c < 3; ++c) values[c] = rows[0][c] * high + rows[1][c] * low;
 }
 
-LANES void take8_wide(const uint8_t *data, floats_t values[3]) {
-    /* pixels 0-3 from bytes 0-11, 4-7 from bytes 12-23 of the 24 */
-    __m256i bytes = _mm256_set_m128i(_mm_loadu_si128((const __m128i *)(data + 8)),
-                                     _mm_loadu_si128((const __m128i *)data));
-    const char n = -1;
-    for (int c = 0; c < 3; ++c) {
-        char a = (char)c;
-        __m256i which = _mm256_setr_epi8(
-            a, n, n, n, a + 3, n, n, n, a + 6, n, n, n, a + 9, n, n, n,
-            a + 4, n, n, n, a + 7, n, n, n, a + 10, n, n, n, a + 13, n, n, n);
-        values[c] = real_wide((ints_t)_mm256_shuffle_epi8(bytes, which));
-    }
-}
-
 /* 16 bytes from each of pixels k and k + 4. */
 LANES __m256i gather128_wide(const uint8_t *data, const int32_t *at) {
     return _mm256_set_m128i(_mm_loadu_si128((const __m128i *)(data + at[4])),
@@ -231,18 +289,6 @@ LANES void sample16_wide(picture_t source, floats_t x, floats_t y, floats_t valu
     for (int c = 0; c < 3; ++c) {
         values[c] = rows[0][c] * high + (rows[1][c] * low + all_wide(32768));
     }
-}
-
-LANES void store8_wide(const floats_t values[3], uint8_t *out) {
-    ints_t codes[3];
-    for (int c = 0; c < 3; ++c) codes[c] = (ints_t)_mm256_cvtps_epi32((__m256)values[c]);
-    __m256i packed = (__m256i)(codes[0] | (codes[1] << 8) | (codes[2] << 16));
-    __m256i bytes = _mm256_shuffle_epi8(
-        packed, _mm256_setr_epi8(0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1, 0, 1, 2, 4,
-                                 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1));
-    bytes = _mm256_permutevar8x32_epi32(bytes, _mm256_setr_epi32(0, 1, 2, 4, 5, 6, 7, 7));
-    _mm_storeu_si128((__m128i *)out, _mm256_castsi256_si128(bytes));
-    _mm_storel_epi64((__m128i *)(out + 16), _mm256_extracti128_si256(bytes, 1));
 }
 
 LANES void store16_wide(const floats_t values[3], uint8_t *out) {

@@ -1,5 +1,6 @@
 /*
- * The colour and geometry of whole frames in one pass; see correct.h.
+ * The colour and geometry of whole frames in one pass, see correct.h, and frames of videos from
+ * YUV and back, see yuv.h.
  *
  * A plan is compiled once and only read afterwards, so any number of threads may run it.
  */
@@ -12,14 +13,18 @@
 #include "plan.h"
 
 #define WIDE 0
+#include "lanes.h"
 #include "correct.h"
+#include "yuv.h"
 #undef WIDE
 
 #if defined(__x86_64__)
 #define HAS_WIDE 1
 #include <immintrin.h>
 #define WIDE 1
+#include "lanes.h"
 #include "correct.h"
+#include "yuv.h"
 #undef WIDE
 #else
 #define HAS_WIDE 0
@@ -224,6 +229,12 @@ static int is_picture(const Py_buffer *buffer, ptrdiff_t height, ptrdiff_t width
            (uintptr_t)buffer->buf % (uintptr_t)type == 0;
 }
 
+#if HAS_WIDE
+static int has_wide_lanes(void) {
+    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+}
+#endif
+
 static PyObject *run(PyObject *self, PyObject *args) {
     (void)self;
     PyObject *capsule, *source_object, *out_object;
@@ -248,11 +259,7 @@ static PyObject *run(PyObject *self, PyObject *args) {
     if (fits) {
         rows_function *rows = correct_rows_portable;
 #if HAS_WIDE
-        if (wide && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) {
-            rows = correct_rows_wide;
-        }
-#else
-        (void)wide;
+        if (wide && has_wide_lanes()) rows = correct_rows_wide;
 #endif
         Py_BEGIN_ALLOW_THREADS
         rows(plan, (picture_t){source.buf, source.strides[0]}, (picture_t){out.buf, out.strides[0]},
@@ -267,10 +274,71 @@ static PyObject *run(PyObject *self, PyObject *args) {
     Py_RETURN_NONE;
 }
 
+static picture_t picture_of(const Py_buffer *buffer) {
+    return (picture_t){buffer->buf, buffer->strides[0]};
+}
+
+/* What both ways share; one of planes and picture is written. */
+static PyObject *convert(PyObject *args, int to_rgb) {
+    enum { LUMA, CHROMA, RGB = CHROMA + 2, MATRIX, N_BUFFERS };
+    PyObject *objects[N_BUFFERS];
+    Py_buffer b[N_BUFFERS];
+    int wide = 1, n_read = 0;
+    if (!PyArg_ParseTuple(args, "OOOOO|p", &objects[LUMA], &objects[CHROMA], &objects[CHROMA + 1],
+                          &objects[RGB], &objects[MATRIX], &wide)) {
+        return NULL;
+    }
+    while (n_read < N_BUFFERS) {
+        int is_written = n_read != MATRIX && (n_read == RGB) == to_rgb;
+        int access = is_written ? PyBUF_STRIDED : PyBUF_STRIDED_RO;
+        if (PyObject_GetBuffer(objects[n_read], &b[n_read], access) < 0) break;
+        ++n_read;
+    }
+    int fits = 0;
+    if (n_read == N_BUFFERS) {
+        ptrdiff_t height = b[LUMA].ndim == 2 ? b[LUMA].shape[0] : 0;
+        ptrdiff_t width = b[LUMA].ndim == 2 ? b[LUMA].shape[1] : 0;
+        fits = width > 0 && height > 0 && (to_rgb || (width % 2 == 0 && height % 2 == 0)) &&
+               is_picture(&b[LUMA], height, width, 1, UINT8) &&
+               is_picture(&b[CHROMA], (height + 1) / 2, (width + 1) / 2, 1, UINT8) &&
+               is_picture(&b[CHROMA + 1], (height + 1) / 2, (width + 1) / 2, 1, UINT8) &&
+               is_picture(&b[RGB], height, width, 3, UINT8);
+        yuv_t frame = {.width = width, .height = height};
+        if (!fits) {
+            PyErr_SetString(PyExc_ValueError, "the planes and the picture do not fit together");
+        } else if ((fits = read_floats(frame.matrix[0], &b[MATRIX], 12, "matrix"))) {
+            frame.luma = picture_of(&b[LUMA]), frame.rgb = picture_of(&b[RGB]);
+            for (int k = 0; k < 2; ++k) frame.chroma[k] = picture_of(&b[CHROMA + k]);
+            yuv_function *rows = to_rgb ? rgb_rows_portable : yuv_rows_portable;
+#if HAS_WIDE
+            if (wide && has_wide_lanes()) rows = to_rgb ? rgb_rows_wide : yuv_rows_wide;
+#endif
+            Py_BEGIN_ALLOW_THREADS
+            rows(&frame);
+            Py_END_ALLOW_THREADS
+        }
+    }
+    while (n_read > 0) PyBuffer_Release(&b[--n_read]);
+    if (!fits) return NULL;
+    Py_RETURN_NONE;
+}
+
+static PyObject *rgb_of_yuv(PyObject *self, PyObject *args) {
+    (void)self;
+    return convert(args, 1);
+}
+
+static PyObject *yuv_of_rgb(PyObject *self, PyObject *args) {
+    (void)self;
+    return convert(args, 0);
+}
+
 static PyMethodDef METHODS[] = {
     {"compile_plan", (PyCFunction)(void (*)(void))compile_plan, METH_VARARGS | METH_KEYWORDS,
      "Copy everything that a correction needs."},
     {"run", run, METH_VARARGS, "Correct some rows of a picture; other threads go on meanwhile."},
+    {"rgb_of_yuv", rgb_of_yuv, METH_VARARGS, "Convert a whole frame of 4:2:0 to a picture."},
+    {"yuv_of_rgb", yuv_of_rgb, METH_VARARGS, "Convert a picture to a whole frame of 4:2:0."},
     {NULL, NULL, 0, NULL}};
 
 static struct PyModuleDef MODULE = {PyModuleDef_HEAD_INIT, "native", NULL, 0, METHODS, NULL, NULL,

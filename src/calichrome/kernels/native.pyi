@@ -47,3 +47,21 @@ def run(
     wide: bool,
     /,
 ) -> None: ...
+def rgb_of_yuv(
+    luma: NDArray[uint8],
+    blue: NDArray[uint8],
+    red: NDArray[uint8],
+    rgb: NDArray[uint8],
+    matrix: NDArray[float32],
+    wide: bool = True,
+    /,
+) -> None: ...
+def yuv_of_rgb(
+    luma: NDArray[uint8],
+    blue: NDArray[uint8],
+    red: NDArray[uint8],
+    rgb: NDArray[uint8],
+    matrix: NDArray[float32],
+    wide: bool = True,
+    /,
+) -> None: ...

@@ -83,4 +83,13 @@ typedef struct {
 typedef void rows_function(const plan_t *, picture_t source, picture_t out, ptrdiff_t first,
                            ptrdiff_t last);
 
+/* Planar YUV and packed RGB of one frame, 8 bits, and the matrix from one to the other. */
+typedef struct {
+    ptrdiff_t width, height;
+    picture_t luma, chroma[2], rgb;
+    float matrix[3][4]; /* the fourth column is added */
+} yuv_t;
+
+typedef void yuv_function(const yuv_t *);
+
 #endif

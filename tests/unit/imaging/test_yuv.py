@@ -6,8 +6,15 @@ import pytest
 from av.video.reformatter import Interpolation
 
 from calichrome.core.arrays import Scratch
-from calichrome.imaging import Pixels
+from calichrome.imaging import Pixels, yuv
 from calichrome.imaging.yuv import frame_of_rgb, rgb_of_frame, stated_matrix
+
+
+@pytest.fixture(autouse=True, params=["native", "opencv"])
+def _kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if request.param == "opencv":
+        monkeypatch.setattr(yuv, "native", None)
+
 
 _ACCURATE = Interpolation.BICUBIC | Interpolation.ACCURATE_RND | Interpolation.FULL_CHR_H_INT
 _LAYOUTS = ["yuv420p", "yuv444p", "yuv420p10le", "yuv444p10le"]
@@ -127,3 +134,12 @@ def test_arrays_used_again_change_nothing(rng: np.random.Generator) -> None:
 def test_depth_must_fit() -> None:
     with pytest.raises(ValueError, match="uint8 does not fit yuv420p10le"):
         frame_of_rgb(np.zeros((16, 16, 3), np.uint8), "yuv420p10le", 1, full_range=False)
+
+
+@pytest.mark.parametrize("layout", ["yuv420p", "yuv444p"])
+def test_pixels_may_be_a_view(rng: np.random.Generator, layout: str) -> None:
+    """Of BGR in another order, every second column, upside down."""
+    wide = rng.integers(0, 256, (32, 96, 3)).astype(np.uint8)
+    view = wide[::-1, ::2, ::-1]
+    frames = [frame_of_rgb(pixels, layout, 1, full_range=False) for pixels in (view, view.copy())]
+    np.testing.assert_array_equal(frames[0].to_ndarray(), frames[1].to_ndarray())

@@ -17,7 +17,7 @@ _SOURCE = _ROOT / "src" / "calichrome" / "kernels" / "native.c"
 @pytest.mark.slow
 @pytest.mark.skipif(not _GCC, reason="needs GCC and its sanitizers")
 def test_kernels_are_clean(tmp_path: Path) -> None:
-    """All that test_kernels.py does: odd sizes, strides, regions, empty maps, maps that leave."""
+    """All that two files test: odd sizes, strides, regions, empty maps, maps that leave."""
     library = tmp_path / "native.so"
     build = [
         _GCC, "-g", "-O1", "-shared", "-fPIC", "-Wno-psabi",
@@ -38,10 +38,11 @@ def test_kernels_are_clean(tmp_path: Path) -> None:
         "SANITIZED_KERNELS": str(library),
         "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path]),
     }
-    tests = _ROOT / "tests" / "unit" / "apply" / "test_kernels.py"
+    unit = _ROOT / "tests" / "unit"
+    tests = unit / "apply" / "test_kernels.py", unit / "kernels" / "test_yuv.py"
     run = subprocess.run(  # noqa: S603
         [sys.executable, "-m", "pytest", "-q", "-x", "-p", "sanitized", "-m", "not slow",
-         "-p", "no:cacheprovider", "-p", "no:faulthandler", "-s", str(tests)],
+         "-p", "no:cacheprovider", "-p", "no:faulthandler", "-s", *map(str, tests)],
         env=environment, cwd=_ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert run.returncode == 0, run.stdout[-3000:] + run.stderr[-6000:]
