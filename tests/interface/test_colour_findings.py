@@ -142,7 +142,11 @@ def _unchanged(values: FloatArray) -> FloatArray:
 
 
 def _views(
-    target: Target, rng: np.random.Generator, odd: Mapping[int, Change], n_frames: int = 8
+    target: Target,
+    rng: np.random.Generator,
+    odd: Mapping[int, Change],
+    n_frames: int = 8,
+    odd_px: int = 60,
 ) -> dict[str, BoardView]:
     """Discs of a linear camera under one lamp, nearer or farther, in some frames changed."""
     n = len(target.markers)
@@ -162,7 +166,7 @@ def _views(
                 mean_rgb=rgb,
                 median_rgb=rgb,
                 cov_rgb=np.broadcast_to(1e-6 * np.eye(3), (n, 3, 3)),
-                n_px=np.full(n, 60),
+                n_px=np.full(n, odd_px if frame in odd else 60),
                 clipped=np.zeros(n),
                 white_rgb=white,
                 black_rgb=0.05 * white,
@@ -229,6 +233,20 @@ def test_illuminant_changes_does_not_fire(
     kept, found = leave_out_other_light(dataset)
     assert found == ()
     assert kept is dataset
+
+
+def test_illuminant_changes_does_not_fire_for_discs_that_pixels_smear(
+    standard_target: Target, rng: np.random.Generator
+) -> None:
+    """Demosaicing takes red and blue towards green where a disc is only a few pixels wide."""
+
+    def smeared(values: FloatArray) -> FloatArray:
+        return np.asarray(values - 0.2 * (values - values[:, 1:2]))
+
+    small = _dataset(a=_views(standard_target, rng, {3: smeared}, odd_px=14))
+    assert leave_out_other_light(small) == (small, ())
+    large = _dataset(a=_views(standard_target, rng, {3: smeared}))
+    assert leave_out_other_light(large)[1]  # there it is told from the other frames
 
 
 def test_an_exposure_of_one_frame_does_not_change_the_colours(
