@@ -1,6 +1,7 @@
 """``record``: folders that calibrate, and cameras that misbehave, by name."""
 
 import csv
+import errno
 import io
 import json
 import signal
@@ -22,6 +23,7 @@ from calichrome.imaging import Image, open_recording
 from calichrome.imaging.devices import CvCamera, Setting
 from calichrome.imaging.recording_writer import RecordingWriter
 from calichrome.pipeline.record import Recorded, record
+from calichrome.target import Target, load_target, target_to_json
 
 Cli = Callable[..., Any]
 Refused = Callable[..., str]
@@ -216,6 +218,32 @@ def test_the_command_warns_of_a_camera_and_ends_with_3_when_one_is_lost(
     assert [item["code"] for item in outcome.json["findings"]] == ["camera_lost"]
     assert len(outcome.json["frames"]) == 2
     assert outcome.json["settings"]["cam0"]["gain"] == {"value": 100.0, "locked": True}
+
+
+def test_a_full_disk_leaves_a_recording_with_its_target(
+    cli: Cli,
+    fakes: dict[int | str, Camera],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    standard_target: Target,
+) -> None:
+    assert fakes
+    board, folder = tmp_path / "board.json", tmp_path / "rec"
+    board.write_text(json.dumps(target_to_json(standard_target)), encoding="utf-8")
+    add = RecordingWriter.add
+
+    def until_full(writer: RecordingWriter, *arguments: Any) -> dict[str, str]:  # noqa: ANN401
+        if writer.n_frames == 2:
+            raise OSError(errno.ENOSPC, "No space left on device", str(folder))
+        return add(writer, *arguments)
+
+    monkeypatch.setattr(RecordingWriter, "add", until_full)
+    words = ["--every", "20ms", "--no-beep", "--target", board, "-o", folder]
+    outcome = cli("record", "--cameras", "0", *words)
+    assert outcome.code == 1
+    assert "No space left" in outcome.err
+    assert load_target(folder / "target.json") == load_target(board)
+    assert len(list((folder / "cam0").iterdir())) == 2
 
 
 def test_keys_take_frames_until_q(

@@ -64,6 +64,14 @@ class Record(Command):
         if target is None and synthetic:
             target = standard_target()
         writer = RecordingWriter(self.output)
+
+        def taken(shot: Shot) -> None:
+            if target is not None and writer.n_frames == 1:  # whatever happens later, it is there
+                text = json.dumps(target_to_json(target), indent=1, ensure_ascii=False)
+                with writing_file(self.output / "target.json") as temporary:
+                    temporary.write_text(text + "\n", encoding="utf-8")
+            self._tell_shot(shot)
+
         with ExitStack() as stack:
             devices = self._opened(sources, size_wh, target, stack)
             done = record(
@@ -72,12 +80,8 @@ class Record(Command):
                 self._on_key if self.key else self._after(every_s),
                 count=self.count,
                 locked=self._tell_settings,
-                taken=self._tell_shot,
+                taken=taken,
             )
-        if target is not None:
-            text = json.dumps(target_to_json(target), indent=1, ensure_ascii=False)
-            with writing_file(self.output / "target.json") as temporary:
-                temporary.write_text(text + "\n", encoding="utf-8")
         self.show("\n".join(_summary(done, self.output)), _to_json(done, self.output))
         return 3 if any(item.severity == "critical" for item in done.findings) else 0
 
