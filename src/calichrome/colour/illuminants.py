@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calichrome.colour.nested import compare_nested, white_keeping_matrix, white_keeping_terms
-from calichrome.colour.samples import ColourSamples, collect_samples
+from calichrome.colour.samples import FEWEST_PX, ColourSamples, collect_samples
 from calichrome.core.arrays import BoolArray, FloatArray, IntArray
 from calichrome.core.findings import Finding, finding
 from calichrome.observations import Dataset
@@ -28,10 +28,6 @@ _NOISE = (0.01, 0.02)
 """Standard deviation of a disc over its white: of white (gloss, stray light), and of the disc; what
 the fits allow, too. Only their ratio counts."""
 _FEWEST_DISCS = 8  # a frame with fewer says too little: twelve numbers are fitted to it
-_FEWEST_PX = 20
-"""Behind a disc, in the median of a frame that says enough: demosaicing and JPEG smear colour over
-the edges of small discs. Of 60 simulated views, Bayer or JPEG, those with 12 to 17 px changed by up
-to 0.12 in the light of the rest; those with 24 or more in another mixture of two lamps, by 0.09."""
 _FEWEST_FRAMES = 3  # of two frames neither is the odd one
 _ROUNDS = 3  # of finding the frames that agree: the second seldom changes anything
 
@@ -148,8 +144,9 @@ def _changes(samples: ColourSamples) -> dict[str, tuple[float, float]]:
 
 
 def _says_enough(samples: ColourSamples, view: int) -> bool:
+    """Whether a frame shows enough discs that demosaicing and JPEG do not change."""
     n_px = samples.n_px[samples.usable & (samples.view == view)]
-    return len(n_px) >= _FEWEST_DISCS and float(np.median(n_px)) >= _FEWEST_PX
+    return len(n_px) >= _FEWEST_DISCS and float(np.median(n_px)) >= FEWEST_PX
 
 
 def _usual(balanced: FloatArray, marker_ids: IntArray, used: BoolArray) -> FloatArray:

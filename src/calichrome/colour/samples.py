@@ -14,6 +14,7 @@ from calichrome.observations import BoardView, DiscSamples
 from calichrome.target import Target
 
 __all__ = [
+    "FEWEST_PX",
     "ColourSamples",
     "DiscMeans",
     "collect_samples",
@@ -26,6 +27,12 @@ _OUTLIER = 4.0  # robust sigmas from the disc's median over views: a highlight, 
 _FLOOR = 0.01  # of the white level: a spread below is not measured by a handful of views
 _ALIKE = 0.5
 """Share of a deviation that may differ between channels for it to be white light or its lack."""
+FEWEST_PX = 20
+"""Pixels behind a disc, below which demosaicing and JPEG smear chroma over its edge by more than
+what else is wrong: frames with 12 to 17 px a disc, Bayer or JPEG, lost up to 0.12 of what colours
+deviate from grey. Two cameras of a simulated rig (that of `demo`) had 0.78 and 0.75 dE2000 without
+such discs in place of 1.20 and 0.88; without those below 30 px 1.10 and 0.80, as few were left."""
+_ENOUGH = 4  # larger views of a disc, for the small ones to be left out
 _HIDDEN = 0.5  # share of the pixels that a disc usually has, below which something lies on it
 
 
@@ -118,7 +125,8 @@ class DiscMeans:
     reasons : (M,) str
         Why a row of the samples was left out: "clipped", "unlit" (no white squares), "highlight"
         (gloss: white light added), "shadow" (all channels down alike), "hidden" (few pixels left),
-        "misread" (another colour); "" for rows in a mean.
+        "misread" (another colour), "small" (`FEWEST_PX`, where enough larger views are there); ""
+        for rows in a mean.
     """
 
     mean_rgb: FloatArray
@@ -257,6 +265,10 @@ def combine_views(samples: ColourSamples, n_markers: int) -> DiscMeans:
         of_disc = np.flatnonzero(usable & (samples.marker_ids == marker))
         if not len(of_disc):
             continue
+        large = samples.n_px[of_disc] >= FEWEST_PX
+        if large.sum() >= _ENOUGH:
+            reasons[of_disc[~large]] = "small"
+            of_disc = of_disc[large]
         rows, n_px = even[of_disc], samples.n_px[of_disc]
         off = rows - np.median(rows, axis=0)
         sigma = 1.4826 * np.median(np.abs(off), axis=0)
@@ -333,6 +345,6 @@ def disc_means(samples: ColourSamples, n_markers: int) -> tuple[FloatArray, IntA
         Rows that disagree with the other views of their disc.
     """
     means = combine_views(samples, n_markers)
-    unusable = {"", "clipped", "unlit"}
+    unusable = {"", "clipped", "unlit", "small"}
     n_rejected = sum(reason not in unusable for reason in means.reasons)
     return means.mean_rgb, means.n_views, n_rejected

@@ -68,6 +68,25 @@ def test_a_highlight_in_one_view_is_left_out(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(mean_rgb[4], rgb[4] * _LIGHT, atol=0.003)  # 3 sigma of six
 
 
+@pytest.mark.parametrize(("n_large", "is_left_out"), [(3, False), (4, True)])
+def test_small_discs_are_left_out_where_larger_ones_are_enough(
+    n_large: int,
+    is_left_out: bool,  # noqa: FBT001
+    rng: np.random.Generator,
+) -> None:
+    rgb = rng.uniform(0.1, 0.6, (8, 3))
+    faded = rgb + 0.1 * (rgb.mean(axis=1, keepdims=True) - rgb)
+    views = {f"large {i}": _view(1.0, rgb) for i in range(n_large)}
+    small = _view(1.0, faded)
+    assert small.discs is not None
+    small = replace(small, discs=replace(small.discs, n_px=np.full(8, 15)))
+    mean_rgb, n_views, n_rejected = disc_means(_collected({**views, "small": small}), 8)
+    assert (n_views == n_large).all() == is_left_out
+    assert np.allclose(mean_rgb, rgb * _LIGHT) == is_left_out
+    if is_left_out:
+        assert n_rejected == 0  # they say nothing against the others
+
+
 def test_views_without_light_do_not_count(rng: np.random.Generator) -> None:
     rgb = rng.uniform(0.1, 0.6, (8, 3))
     dark = _view(1.0, rgb, white_known=False)
@@ -107,7 +126,7 @@ def test_each_rejection_has_its_reason(rng: np.random.Generator) -> None:
     views["odd"] = _view(1.0, odd)
     discs = views["odd"].discs
     assert discs is not None
-    discs.n_px[4] = 9
+    discs.n_px[4] = 22
     discs.clipped[5] = 0.2
     means = combine_views(_collected(views), 12)
     expected = ["", "highlight", "shadow", "misread", "hidden", "clipped"] + [""] * 6
