@@ -108,7 +108,7 @@ def other_light(samples: Mapping[str, ColourSamples]) -> dict[str, OtherLight]:
         limit = max(_LEAST, _TIMES * float(np.median([change for change, _ in changes.values()])))
         for frame, (change, own_chance) in changes.items():
             chance = min(1.0, own_chance * len(changes))
-            if change <= limit or chance >= _CHANCE:
+            if change <= limit or chance >= _CHANCE or _is_smeared(item, frame):
                 continue
             before = found.get(frame)
             found[frame] = OtherLight(
@@ -123,7 +123,8 @@ def other_light(samples: Mapping[str, ColourSamples]) -> dict[str, OtherLight]:
 def _changes(samples: ColourSamples) -> dict[str, tuple[float, float]]:
     """By how much the discs of each frame changed, and how often chance does as much."""
     usable = samples.usable
-    views = [view for view in range(len(samples.frame_ids)) if _says_enough(samples, view)]
+    counts = np.bincount(samples.view[usable], minlength=len(samples.frame_ids))
+    views = np.flatnonzero(counts >= _FEWEST_DISCS)
     if len(views) < _FEWEST_FRAMES:
         return {}
     balanced = samples.rgb / samples.light_rgb
@@ -143,10 +144,10 @@ def _changes(samples: ColourSamples) -> dict[str, tuple[float, float]]:
     return {samples.frame_ids[view]: item for view, item in changes.items()}
 
 
-def _says_enough(samples: ColourSamples, view: int) -> bool:
-    """Whether a frame shows enough discs that demosaicing and JPEG do not change."""
-    n_px = samples.n_px[samples.usable & (samples.view == view)]
-    return len(n_px) >= _FEWEST_DISCS and float(np.median(n_px)) >= FEWEST_PX
+def _is_smeared(samples: ColourSamples, frame: str) -> bool:
+    """Whether discs are so small that demosaicing and JPEG may change them as a lamp would."""
+    mine = samples.usable & (samples.view == samples.frame_ids.index(frame))
+    return bool(np.median(samples.n_px[mine]) < FEWEST_PX)
 
 
 def _usual(balanced: FloatArray, marker_ids: IntArray, used: BoolArray) -> FloatArray:
